@@ -51,11 +51,13 @@ from .measure.photometers import Colorimeter as Colorimeter
 from .measure.photometers import Goniophotometer as Goniophotometer
 from .measure.photometers import Radiometer as Radiometer
 from .measure.photometers import Spectrophotometer as Spectrophotometer
+from .measure.photometers import Transmissometer as Transmissometer
 from .measure.photometers import brdf as brdf
 from .measure.photometers import colour as colour
 from .measure.photometers import principal_plane as principal_plane
 from .measure.photometers import radiance as radiance
 from .measure.photometers import reflectance as reflectance
+from .measure.photometers import transmittance as transmittance
 from .measure.polarimeter import Analyser as Analyser
 from .measure.polarimeter import Polarimeter as Polarimeter
 from .measure.polarimeter import PolarisedReading as PolarisedReading

@@ -17,6 +17,9 @@ from irisjax.measure.passbands import BANDWIDTH, Passbands
 from irisjax.numerics.checks import Range
 from irisjax.tissue.pigments import check_covered, common_range
 
+PHOTOMETERS = ("reflectance", "radiance", "transmittance")
+"""Instruments that see intensity."""
+
 POLARIMETERS = ("cross-polarised", "co-polarised", "degree-of-polarisation")
 """Instruments that see polarisation."""
 
@@ -155,18 +158,21 @@ def centred(light: Any) -> Any:
 class SpectrumLight(BandedLight):
     ONLY_WITH: ClassVar[opt.OnlyWith] = {
         "illuminant": ("instrument", ("radiance",)),
-        "bandwidth": ("instrument", ("reflectance", "radiance")),
-        "bands": ("instrument", ("reflectance", "radiance")),
+        "bandwidth": ("instrument", PHOTOMETERS),
+        "bands": ("instrument", PHOTOMETERS),
+        "first_surface": ("instrument", ("reflectance", "radiance", *POLARIMETERS)),
         "polariser_deg": ("instrument", POLARIMETERS),
         "exit_deg": ("instrument", POLARIMETERS),
         "exit_azimuth_deg": ("instrument", POLARIMETERS),
     }
 
     instrument: str = opt.choice(
-        "share of the light sent back; radiance under an illuminant; share sent back through an "
-        "analyser, of polarised light; degree of linear polarisation",
-        ("reflectance", "radiance", *POLARIMETERS),
+        "share of the light sent back; radiance under an illuminant; share that leaves behind, "
+        "which takes --ipe-melanin; share sent back through an analyser, of polarised light; "
+        "degree of linear polarisation",
+        (*PHOTOMETERS, *POLARIMETERS),
         "reflectance",
+        names="--instrument --quantity",
     )
     illuminant: str = opt.option(
         "light source by its name in colour-science", "D65", metavar="name"
@@ -194,6 +200,8 @@ class SpectrumLight(BandedLight):
             return ij.Radiometer(grid, illuminant=self.illuminant, **told)
         if self.instrument == "reflectance":
             return ij.Spectrophotometer(grid, **told)
+        if self.instrument == "transmittance":
+            return ij.Transmissometer(grid, **told)
         degrees, angle = self._exit_and_polariser()
         told |= {
             "cos_exit": degrees if isinstance(degrees, str) else math.cos(math.radians(degrees)),

@@ -78,10 +78,10 @@ def seeded(what: str) -> Any:
     return whole(f"{{}}; equal seeds give equal {what}", Range(0, 2**32 - 1), 0, "number")
 
 
-def choice(help: str, names: Iterable[str], default: str | None = None, **more: Any) -> Any:
-    """An option that takes one of these names, which its help begins with."""
-    words = f"{', '.join(names)}: {help}"
-    return option(words, default, parse=one_of(*names), metavar="name", **more)
+def choice(help: str, known: Iterable[str], default: str | None = None, **more: Any) -> Any:
+    """An option that takes one of the known names, which its help begins with."""
+    words = f"{', '.join(known)}: {help}"
+    return option(words, default, parse=one_of(*known), metavar="name", **more)
 
 
 @dataclass_transform(

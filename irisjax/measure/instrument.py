@@ -16,7 +16,7 @@ from irisjax.measure.passbands import Passbands, bands_of
 from irisjax.numerics.checks import Range, check_range, check_scalars
 from irisjax.tissue.pigments import Extinction, extinction
 from irisjax.transport.light import Directions, Light
-from irisjax.transport.solution import Solution, dimmed
+from irisjax.transport.solution import Solution
 
 Crossing = Literal["none", "inward", "round-trip"]
 
@@ -158,12 +158,12 @@ class AbstractInstrument(eqx.Module):
         **more: Any,
     ) -> R:
         """Return values as a `Reading`, with what the solution says besides."""
-        absorbed, mirrored = dimmed(light.absorbed, factor), factor * light.mirrored
+        shares = light.absorbed, light.mirrored, light.transmitted
+        shares = jax.tree.map(lambda x: factor * x, shares)
         if self.bands is not None:
-            mean = self.bands.mean
-            values, mirrored, absorbed = mean(values), mean(mirrored), jax.tree.map(mean, absorbed)
+            values, shares = jax.tree.map(self.bands.mean, (values, shares))
             error = None if error is None else self.bands.error(error)
-        return kind(self.centres, values, error, light.status, absorbed, mirrored, **more)
+        return kind(self.centres, values, error, light.status, *shares, **more)
 
     @abc.abstractmethod
     def reading(self, light: Solution, factor: Scalar) -> Any:

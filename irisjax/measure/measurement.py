@@ -27,6 +27,7 @@ class Reading(eqx.Module):
         status: A `RESULTS` item; compare it with `RESULTS.successful`.
         absorbed: Shares of the incident light absorbed in `.abl`, `.stroma` and `.ipe`.
         mirrored: Share reflected by the iris's first surface, whether or not `values` include it.
+        transmitted: Share that leaves the pigment epithelium behind; `None` where that is black.
         quantity: Name of the quantity, which has this `unit`.
     """
 
@@ -36,6 +37,7 @@ class Reading(eqx.Module):
     status: RESULTS
     absorbed: Absorbed
     mirrored: Spectrum
+    transmitted: Spectrum | None
     quantity: str = eqx.field(static=True)
     unit: str = eqx.field(static=True)
 

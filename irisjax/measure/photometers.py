@@ -73,6 +73,28 @@ class Radiometer(AbstractInstrument):
         return self.spectrum(light, factor, scale, "radiance", unit="relative/sr")
 
 
+class Transmissometer(AbstractInstrument):
+    """An instrument that reads the share of the incident light that leaves the iris behind, into
+    the posterior chamber, in all directions; the iris has an `ipe_melanin`.
+    """
+
+    has_bands = True
+
+    def __init__(self, wavelengths: Numbers, **settings: Unpack[InstrumentSettings]):
+        super().__init__(wavelengths, **settings)
+        if self.cornea == "round-trip":
+            raise ValueError("transmitted light leaves behind: cornea is 'none' or 'inward'")
+
+    def counted(self, light: Solution) -> tuple[Spectrum, Spectrum | None]:
+        if light.transmitted is None:
+            said = "no light gets behind a black pigment epithelium"
+            raise ValueError(f"{said}: give the iris an ipe_melanin, ug/mm2 (--ipe-melanin)")
+        return light.transmitted, light.transmitted_error
+
+    def reading(self, light: Solution, factor: Scalar) -> Reading:
+        return self.spectrum(light, factor, factor * self.gain, "transmittance")
+
+
 class Colorimeter(AbstractInstrument):
     """An instrument that reads the colour of the iris's reflectance for an observer under an
     illuminant, by default on 380–780 nm in steps of 5 nm.
@@ -194,6 +216,24 @@ def reflectance(
         ValueError: As `observe` does.
     """
     return observe(iris, Spectrophotometer(wavelengths, **settings), solver, key=key, throw=throw)
+
+
+def transmittance(
+    iris: Iris,
+    wavelengths: Numbers,
+    *,
+    solver: AbstractSolver | None = None,
+    key: PRNGKey | None = None,
+    throw: bool = True,
+    **settings: Unpack[InstrumentSettings],
+) -> Reading:
+    """Compute the spectral transmittance of an iris with `ipe_melanin`, the share of incident light
+    that leaves it behind.
+
+    The arguments are those of `reflectance`; so are the errors, and an iris whose pigment
+    epithelium is black is one.
+    """
+    return observe(iris, Transmissometer(wavelengths, **settings), solver, key=key, throw=throw)
 
 
 def radiance(

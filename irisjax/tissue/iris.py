@@ -53,6 +53,9 @@ LIMITS: dict[str, Range] = {
     "abl_index": Range(1, 3, "", "refractive index of the ABL, in place of Gladstone-Dale's"),
     "stroma_index": Range(1, 3, "", "refractive index of the stroma, in place of Gladstone-Dale's"),
     "scattering_scale": Range(0, _INF, "", "factor on the stroma's scattering"),
+    "ipe_melanin": Range(
+        0, 12000, "ug/mm2", "eumelanin of the pigment epithelium, which is black without a number"
+    ),
 }
 """Every settable number of `Iris` with its allowed range and unit."""
 MELANIN_LOAD = Range(0, 12000, "ug/mm2", "melanin mass per iris area")
@@ -116,6 +119,8 @@ class Iris(eqx.Module):
         abl_index: Refractive index of the ABL; `None` for the Gladstone–Dale mixture.
         stroma_index: Refractive index of the stroma; `None` for the Gladstone–Dale mixture.
         scattering_scale: Factor on the stroma's scattering.
+        ipe_melanin: Eumelanin of the iris pigment epithelium per iris area, µg/mm², which lets the
+            rest of the light out behind; `None` for LB06's epithelium, which is black.
         scattering: Formula of the stroma's scattering: `"lb06"` as printed, or
             `"rayleigh-spheres"`, independent small spheres.
         power_law: Power law that replaces the formula, for radiative transfer; `None` for none.
@@ -146,6 +151,7 @@ class Iris(eqx.Module):
     abl_index: Scalar | None = _parameter("abl_index", None)
     stroma_index: Scalar | None = _parameter("stroma_index", None)
     scattering_scale: Scalar = _parameter("scattering_scale", 1.0)
+    ipe_melanin: Scalar | None = _parameter("ipe_melanin", None)
     scattering: Scattering = eqx.field(static=True, default="lb06")
     power_law: PowerLaw | None = None
     order: Order = eqx.field(init=False)
@@ -286,6 +292,9 @@ class Iris(eqx.Module):
             indices=self.indices(aqueous_index),
             order=self.order,
             phase=None if law is None else law.phase(e.wavelengths),
+            ipe_absorption=None
+            if self.ipe_melanin is None
+            else self.intensification * self.ipe_melanin * e.eumelanin,
         )
 
     def _masses(self):

@@ -1,8 +1,9 @@
-"""The optical description that transport works on: two layers between aqueous humour and IPE."""
+"""The optical description that transport works on: the layers between the chambers of the eye."""
 
 import math
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
@@ -13,7 +14,7 @@ from irisjax.tissue.indices import Order, RefractiveIndices
 
 
 class Layers(eqx.Module):
-    """An absorbing ABL over an absorbing and scattering stroma over the black pigment epithelium.
+    """An absorbing ABL over an absorbing and scattering stroma over the pigment epithelium (IPE).
 
     The fields are optical depths, not coefficients, because these stay finite when the thickness of
     a layer goes to zero.
@@ -25,6 +26,8 @@ class Layers(eqx.Module):
         indices: Refractive indices of aqueous humour, ABL, stroma and pigment epithelium.
         order: Which layers are denser than their neighbours, known before tracing.
         phase: Phase function of the stroma; `None` for Rayleigh's.
+        ipe_absorption: μ_a h of the pigment epithelium, a layer with aqueous humour behind it;
+            `None` for LB06's, which is black.
     """
 
     abl_absorption: Spectrum
@@ -33,6 +36,7 @@ class Layers(eqx.Module):
     indices: RefractiveIndices
     order: Order
     phase: PhaseMixture | None = None
+    ipe_absorption: Spectrum | None = None
 
     @classmethod
     def from_coefficients(
@@ -87,7 +91,8 @@ class Layers(eqx.Module):
     def valid(self) -> Bool[Array, ""]:
         """Check, traced too, that depths are finite and not negative and indices obey `order`."""
         ok = self.indices.agree(self.order)
-        for depth in (self.abl_absorption, self.stroma_absorption, self.stroma_scattering):
+        depths = self.abl_absorption, self.stroma_absorption, self.stroma_scattering
+        for depth in jax.tree.leaves((depths, self.ipe_absorption)):
             ok = ok & (jnp.isfinite(depth) & (depth >= 0)).all()
         return ok if self.phase is None else ok & self.phase.valid()
 

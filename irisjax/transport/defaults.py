@@ -51,15 +51,19 @@ def exact_solver(
 
 def quickest(iris: Iris, aqueous_index: Any, process: AbstractProcess) -> AbstractSolver:
     """The solver for many spectra of irides such as this one: its table; `AddingDoubling` for a
-    power law of scattering; `RadiativeExact` for polarised light, and where media guide light so
-    that a table is not good to 1e-4.
+    power law of scattering; an exact solver for polarised light, for a pigment epithelium that lets
+    light through, and where media guide light so that a table is not good to 1e-4.
     """
+    deep = iris.ipe_melanin is not None
     if isinstance(process, Ilit):
-        return table_for(iris.indices(aqueous_index), process)
+        indices = iris.indices(aqueous_index)
+        return IlitExact(24, process=process) if deep else table_for(indices, process)
     if iris.power_law is not None:
         return AddingDoubling(16, 10)
     if is_polarised(process):
         return RadiativeExact(16, 8, process=POLARISED)
+    if deep:
+        return RadiativeExact(16, 8)
     try:
         return table_for(iris.indices(aqueous_index), process)
     except ValueError:

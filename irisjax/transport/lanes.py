@@ -21,10 +21,10 @@ from irisjax.numerics.streams import fold_in_words, uniform
 from irisjax.optics.fresnel import refract
 from irisjax.optics.mixture import PhaseMixture
 
-FATES = ("mirrored", "reflected", "abl", "stroma", "ipe")
-"""Where photons end, in the order of the counts."""
+FATES = ("mirrored", "reflected", "abl", "stroma", "ipe", "behind")
+"""Where photons end, in the order of the counts; none gets behind a black pigment epithelium."""
 
-MIRRORED, REFLECTED, ABL, STROMA, IPE, RESTING = 1, 2, 3, 4, 5, 6  # fates as coded; 0 is alive
+MIRRORED, REFLECTED, ABL, STROMA, IPE, BEHIND, RESTING = range(1, 8)  # as coded; 0 is alive
 FRESH, SCATTERED, KEPT = 0, 1, 2  # how the direction of the coming flight comes about
 
 
@@ -40,6 +40,7 @@ class LaneLayers(NamedTuple):
     n_abl: jax.Array
     n_stroma: jax.Array
     n_ipe: jax.Array
+    ipe: jax.Array | None = None  # depth of a pigment epithelium that is not black
     phase: PhaseMixture | None = None  # of the lane's wavelength, where it is not the process's own
 
 
@@ -47,8 +48,8 @@ class Photon(NamedTuple):
     """A lane's photon between events.
 
     `code` packs all that is not a real number: fate (3 bits), in the ABL (1), how the coming
-    direction comes about (2), events so far (25), turned round by a mirror (sign). One integer is
-    one kernel on CPU; five would be five, each redoing the physics.
+    direction comes about (2), in the pigment epithelium (1), events so far (24), turned round by a
+    mirror (sign). One integer is one kernel on CPU; six would be six, each redoing the physics.
     """
 
     direction: jax.Array  # signed cosine, positive into the eye
@@ -56,17 +57,53 @@ class Photon(NamedTuple):
     code: jax.Array
 
 
-def pack(fate: Any, in_abl: Any, mode: Any, turned: Any, events: Any) -> jax.Array:
-    """`Photon.code`."""
-    in_abl, turned = (flag.astype(jnp.int32) for flag in (in_abl, turned))
-    return fate | in_abl << 3 | mode << 4 | turned << 31 | events << 6
+class Place(NamedTuple):
+    """Where a photon is: in the ABL, in a pigment epithelium that is followed, or in neither: in
+    the stroma. There is no second flag where the epithelium is black.
+    """
 
+    in_abl: jax.Array
+    in_ipe: jax.Array | None
 
-def fate_of(in_abl: Any, leaves: Any, absorbed: Any, mirrored: Any) -> jax.Array:
-    """Fate of photons that leave their layer, are absorbed in it, or mirrored before it."""
-    fate = jnp.where(absorbed, jnp.where(in_abl, ABL, STROMA), 0)
-    fate = jnp.where(leaves, jnp.where(in_abl, REFLECTED, IPE), fate)
-    return jnp.where(mirrored, MIRRORED, fate)
+    @classmethod
+    def of(cls, code: jax.Array, layers: LaneLayers) -> "Place":
+        """Read it from `Photon.code`."""
+        return cls((code & 8) > 0, None if layers.ipe is None else (code & 64) > 0)
+
+    def pick(self, abl: Any, stroma: Any, ipe: Any) -> jax.Array:
+        """What belongs to the layer."""
+        if self.in_ipe is not None:
+            stroma = jnp.where(self.in_ipe, ipe, stroma)
+        return jnp.where(self.in_abl, abl, stroma)
+
+    def leaves(self, down: jax.Array) -> jax.Array:
+        """Whether who passes the interface ahead leaves the layers that are followed."""
+        if self.in_ipe is None:
+            return self.in_abl ^ down
+        return (self.in_abl & ~down) | (self.in_ipe & down)
+
+    def beyond(self, down: jax.Array, layers: LaneLayers) -> jax.Array:
+        """Index on the far side of the interface ahead."""
+        above = self.pick(layers.n_aqueous, layers.n_abl, layers.n_stroma)
+        return jnp.where(down, self.pick(layers.n_stroma, layers.n_ipe, layers.n_aqueous), above)
+
+    def fate(self, leaves: jax.Array, absorbed: jax.Array, mirrored: jax.Array) -> jax.Array:
+        """Fate of photons that leave the layers, are absorbed in one, or mirrored before them."""
+        fate = jnp.where(absorbed, self.pick(ABL, STROMA, IPE), 0)
+        fate = jnp.where(leaves, self.pick(REFLECTED, IPE, BEHIND), fate)
+        return jnp.where(mirrored, MIRRORED, fate)
+
+    def packed(
+        self, fate: Any, passes: jax.Array, down: jax.Array, mode: Any, turned: Any, events: Any
+    ) -> jax.Array:
+        """`Photon.code` of who stays here or passes into the next layer."""
+        code = fate | mode << 4 | turned.astype(jnp.int32) << 31 | events << 7
+        if self.in_ipe is None:
+            return code | (self.in_abl ^ passes).astype(jnp.int32) << 3
+        in_stroma = ~self.in_abl & ~self.in_ipe
+        in_abl = jnp.where(passes, in_stroma & ~down, self.in_abl)
+        in_ipe = jnp.where(passes, in_stroma & down, self.in_ipe)
+        return code | in_abl.astype(jnp.int32) << 3 | in_ipe.astype(jnp.int32) << 6
 
 
 def run_lanes(
@@ -84,7 +121,8 @@ def run_lanes(
     """Run lanes to exhaustion; lane l owns photons start[l], start[l] + stride, ... below last[l].
 
     `wave_words` hold each lane's wavelength key, `cells` bounds of the cosines (exits, 2) in which
-    to count photons that leave. Returns counts of fates (lanes, 5) and of cells (lanes, exits).
+    to count photons that leave. Returns counts of fates (lanes, 5 or 6), and of cells (lanes,
+    exits).
     """
     newborn = jnp.int32(8 | FRESH << 4)
     nothing = jnp.zeros_like(start)
@@ -112,7 +150,7 @@ def run_lanes(
         direction = jnp.where(born, 1.0, direction)
         alive = born | (fate == 0)
         code = jnp.where(born, newborn, code)
-        words = fold_in_words(k0, k1, (code >> 6).astype(jnp.uint32))
+        words = fold_in_words(k0, k1, (code >> 7).astype(jnp.uint32))
         after = event(Photon(direction, photon.depth, code), words, layers, scale)
         if cells is not None:
             left = after.code & 7 == REFLECTED
@@ -126,7 +164,8 @@ def run_lanes(
 
     resting = Photon(jnp.ones_like(zero), zero if deep else None, nothing + RESTING)
     cell_tally = None if cells is None else (nothing,) * cells.shape[0]
-    state = (*wave_words, start, resting, (nothing,) * len(FATES), cell_tally)
+    fates = len(FATES) - (layers.ipe is None)
+    state = (*wave_words, start, resting, (nothing,) * fates, cell_tally)
     state = vary_alike(state, last, layers, cells)
     *_, tally, cell_tally = lax.while_loop(running, body, state)
     return jnp.stack(tally, -1), None if cell_tally is None else jnp.stack(cell_tally, -1)
@@ -146,13 +185,6 @@ def deflect(direction: jax.Array, cosine: jax.Array, azimuth: jax.Array) -> jax.
     """Cosine to the normal after a turn by a polar angle and a cosine of azimuth."""
     across = (1.0 - direction * direction) * (1.0 - cosine * cosine)
     return direction * cosine + azimuth * jnp.sqrt(across)
-
-
-def beyond(in_abl: jax.Array, down: jax.Array, layers: LaneLayers) -> jax.Array:
-    """Index on the far side of the interface ahead."""
-    above = jnp.where(in_abl, layers.n_aqueous, layers.n_abl)
-    below = jnp.where(in_abl, layers.n_stroma, layers.n_ipe)
-    return jnp.where(down, below, above)
 
 
 def guided(mu: jax.Array, n_here: Any, n_ahead: Any, n_behind: Any) -> jax.Array:

@@ -37,10 +37,12 @@ _LIMIT = 2**31 - 2**20  # counts are int32; lanes look a stride ahead
 
 
 class Counts(NamedTuple):
-    """Photons by fate: `fates` (wavelengths, 5) as in `lanes.FATES`, `exits` (wavelengths, exits)
-    or `None`, and `photons` sent (wavelengths,). Counts of disjoint blocks of photons add."""
+    """Photons by fate: `fates` (wavelengths, fates) as in `lanes.FATES`, without the last over a
+    black epithelium; `exits` (wavelengths, exits) or `None`; and `photons` sent (wavelengths,).
+    Counts of disjoint blocks of photons add.
+    """
 
-    fates: Int[Array, "wavelengths 5"]
+    fates: Int[Array, "wavelengths fates"]
     exits: Int[Array, "wavelengths exits"] | None
     photons: Int[Array, " wavelengths"]
 
@@ -174,6 +176,7 @@ def _count(
     lane_layers = lanes.LaneLayers(
         *(spread(x) for x in (layers.abl_absorption, layers.extinction, layers.albedo)),
         *(jnp.asarray(x, f) for x in (mirrored, incidence, n.aqueous, n.abl, n.stroma, n.ipe)),
+        ipe=None if layers.ipe_absorption is None else spread(layers.ipe_absorption),
         phase=jax.tree.map(spread, layers.phase),
     )
     wave_words = (jnp.repeat(words[:, 0], a_wave), jnp.repeat(words[:, 1], a_wave))

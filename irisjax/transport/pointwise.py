@@ -18,8 +18,8 @@ from irisjax.transport.solver import AbstractSolver
 
 
 class Pointwise(AbstractSolver):
-    """A solver whose derivatives by any number of parameters cost three, by the layers' depths, and
-    two more where a phase function has parameters.
+    """A solver whose derivatives by any number of parameters cost three, by the layers' depths, one
+    more where the epithelium lets light through, and two where a phase function has parameters.
 
     For inversions: derivatives by indices or incidence are refused, and so are BRDFs.
     """
@@ -42,16 +42,19 @@ class Pointwise(AbstractSolver):
             raise ValueError("Pointwise solves for reflectances; a BRDF needs the solver itself")
         how = self.solver, layers.indices, light, key
         depths = layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering
+        if deep := layers.ipe_absorption is not None:
+            depths = (*depths, layers.ipe_absorption)
         if layers.phase is not None:
             depths = (*depths, layers.phase.rayleigh, layers.phase.anisotropy)
-        return _by_wavelength(partial(_solution, layers.order), how, depths)
+        return _by_wavelength(partial(_solution, layers.order, deep), how, depths)
 
 
-def _solution(order: Order, how, depths) -> Solution:
+def _solution(order: Order, deep: bool, how, depths) -> Solution:
     solver, indices, light, key = how
-    abl, stroma, scattering, *mixture = depths
-    phase = PhaseMixture(*mixture) if mixture else None
-    layers = Layers(abl, stroma, scattering, indices, order, phase)
+    abl, stroma, scattering, *more = depths
+    ipe = more.pop(0) if deep else None
+    phase = PhaseMixture(*more) if more else None
+    layers = Layers(abl, stroma, scattering, indices, order, phase, ipe)
     return solver.solve(layers, light, key=key)
 
 

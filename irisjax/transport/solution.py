@@ -38,7 +38,9 @@ class RESULTS(eqx.Enumeration):
 
 
 class Absorbed(eqx.Module):
-    """Share of the incident light absorbed in each layer, one value a wavelength."""
+    """Share of the incident light absorbed in each layer, one value a wavelength; `ipe` is that of
+    the pigment epithelium.
+    """
 
     abl: Spectrum
     stroma: Spectrum
@@ -47,11 +49,6 @@ class Absorbed(eqx.Module):
     def total(self) -> Float[Array, "*batch wavelengths"]:
         """Sum over the layers."""
         return self.abl + self.stroma + self.ipe
-
-
-def dimmed(absorbed: Absorbed, factor: Any) -> Absorbed:
-    """The same shares of light of which only `factor` arrived."""
-    return Absorbed(factor * absorbed.abl, factor * absorbed.stroma, factor * absorbed.ipe)
 
 
 class Polarisation(eqx.Module):
@@ -82,11 +79,12 @@ class Solution(eqx.Module):
     """Where the light goes that falls on the iris from the aqueous humour.
 
     Shares of the incident power, one value a wavelength: `reflectance` (what entered and came
-    back), `mirrored` (at the first surface), `absorbed`; they sum to one.
+    back), `mirrored` (at the first surface), `absorbed`, `transmitted` (what leaves the pigment
+    epithelium behind; `None` where that is black); they sum to one.
 
     - `status`: a `RESULTS` item.
     - `standard_error`: of `reflectance` where sampled, `None` where integrated; `total_error`:
-        of `reflectance` plus `mirrored`.
+        of `reflectance` plus `mirrored`; `transmitted_error`.
     - `brdf`: bidirectional reflectance distribution function (1/sr) without the mirrored part at
         the requested exit directions, shape (wavelengths, exits), or `None`; `brdf_error` its
         standard error.
@@ -103,15 +101,20 @@ class Solution(eqx.Module):
     brdf: Float[Array, "wavelengths exits"] | None = None
     brdf_error: Float[Array, "wavelengths exits"] | None = None
     polarisation: Polarisation | None = None
+    transmitted: Spectrum | None = None
+    transmitted_error: Spectrum | None = None
 
     @property
     def energy(self) -> Float[Array, "*batch wavelengths"]:
         """Sum of all shares; differs from one by rounding only."""
-        return self.reflectance + self.mirrored + self.absorbed.total()
+        behind = 0.0 if self.transmitted is None else self.transmitted
+        return self.reflectance + self.mirrored + self.absorbed.total() + behind
 
 
 class Flux(NamedTuple):
-    """Where the light goes, in shares of it, and the BRDF, if exits are requested."""
+    """Where the light goes, in shares of it, and the BRDF, if exits are requested. `ipe` is what
+    enters the pigment epithelium for good; `behind`, of that, what leaves it there.
+    """
 
     reflectance: Array
     mirrored: Array
@@ -119,11 +122,14 @@ class Flux(NamedTuple):
     stroma: Array
     ipe: Array
     brdf: Array | None = None
+    behind: Array | None = None
 
     def solution(self, status: RESULTS, **more: Any) -> Solution:
         """The `Solution` of these shares, of a `status` and `more` fields."""
-        absorbed = Absorbed(self.abl, self.stroma, self.ipe)
-        return Solution(self.reflectance, self.mirrored, absorbed, status, brdf=self.brdf, **more)
+        kept = self.ipe if self.behind is None else self.ipe - self.behind
+        absorbed = Absorbed(self.abl, self.stroma, kept)
+        shares = self.reflectance, self.mirrored, absorbed
+        return Solution(*shares, status, brdf=self.brdf, transmitted=self.behind, **more)
 
 
 def outcome(valid: Bool[Array, ""], *checks: tuple[Bool[Array, ""], RESULTS]) -> RESULTS:
@@ -139,12 +145,17 @@ def outcome(valid: Bool[Array, ""], *checks: tuple[Bool[Array, ""], RESULTS]) ->
 def counted(
     fates: Array, photons: Any, status: RESULTS, brdf: Array | None = None, **more: Any
 ) -> Solution:
-    """The `Solution` of photons (wavelengths, 5) by fate, in the order of `lanes.FATES`, of so many
-    `photons` sent, a number or one a wavelength.
+    """The `Solution` of photons (wavelengths, fates) by fate, in the order of `lanes.FATES`, of so
+    many `photons` sent, a number or one a wavelength.
     """
     mirrored, reflected, *_ = fates.T
     shares = (fates / jnp.asarray(photons, fates.dtype).reshape(-1, 1)).T
-    return Flux(shares[1], shares[0], shares[2], shares[3], shares[4], brdf).solution(
+    kept, behind = shares[4], None
+    if len(shares) == 6:
+        behind = shares[5]
+        kept = kept + behind
+        more["transmitted_error"] = binomial_error(fates[:, 5], photons)
+    return Flux(shares[1], shares[0], shares[2], shares[3], kept, brdf, behind).solution(
         status,
         standard_error=binomial_error(reflected, photons),
         total_error=binomial_error(mirrored + reflected, photons),

@@ -21,7 +21,7 @@ def observed(monkeypatch):
     half, seen = jnp.full(2, 0.5), []
     reading = PolarisedReading(
         *(jnp.asarray(WAVELENGTHS), half, None, RESULTS.successful, Absorbed(half, half, half)),
-        *(half, "degree of linear polarisation", "", half, jnp.ones((2, 4))),
+        *(half, None, "degree of linear polarisation", "", half, jnp.ones((2, 4))),
     )
     monkeypatch.setattr(measure, "observe", lambda *given, **_: seen.append(given) or reading)
     return seen

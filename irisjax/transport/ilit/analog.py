@@ -12,7 +12,8 @@ from irisjax.transport.process import Ilit, attenuation, sample_entry
 
 def ilit_event(photon: Photon, words: Any, layers: LaneLayers, scale: Any, process: Ilit) -> Photon:
     """One flight and the interface at its end, by the rules of ILIT  [LB06 Section 3, Fig. 4]."""
-    in_abl, mode, k = (photon.code & 8) > 0, (photon.code >> 4) & 3, photon.code >> 6
+    place, mode = lanes.Place.of(photon.code, layers), (photon.code >> 4) & 3
+    k = photon.code >> 7
     u_outcome, u_direction, azimuth = lanes.draws(words, scale)
     turned = lanes.deflect(
         photon.direction, process.phase_function.sample_cosine(u_direction), azimuth
@@ -24,28 +25,28 @@ def ilit_event(photon: Photon, words: Any, layers: LaneLayers, scale: Any, proce
     direction = jnp.clip(direction, -1.0, 1.0) / scale[2]
     down, mu = direction > 0.0, jnp.maximum(jnp.abs(direction), 1e-12)
 
-    depth = jnp.where(in_abl, layers.abl, layers.stroma)
+    depth = place.pick(layers.abl, layers.stroma, layers.ipe)
     if process.rescatter == "to-interface":
         depth = jnp.where(mode == lanes.SCATTERED, 0.0, depth)
     p_event = attenuation(depth, mu)
-    n_here = jnp.where(in_abl, layers.n_abl, layers.n_stroma)
-    n_ahead = lanes.beyond(in_abl, down, layers)
+    n_here = place.pick(layers.n_abl, layers.n_stroma, layers.n_ipe)
+    n_ahead = place.beyond(down, layers)
     mirror = fresnel_at(mu, n_here, n_ahead)[0]
     # One uniform decides: first surface | absorbed | scattered | reflected | transmitted.
-    albedo = jnp.where(in_abl, 0.0, layers.albedo)
+    albedo = place.pick(0.0, layers.albedo, 0.0)
     first = jnp.where(k == 0, layers.mirrored, 0.0)
     t_absorbed = first + (1.0 - first) * p_event * (1.0 - albedo)
     t_event = first + (1.0 - first) * p_event
     t_mirror = t_event + (1.0 - t_event) * mirror
     absorbed = u_outcome < t_absorbed
     if not process.perturb_on_reflection:
-        n_behind = lanes.beyond(in_abl, ~down, layers)
+        n_behind = place.beyond(~down, layers)
         absorbed |= lanes.guided(mu, n_here, n_ahead, n_behind) & (albedo == 0.0)
     transmitted = (u_outcome >= t_mirror) & ~absorbed
     scattered = (u_outcome >= t_absorbed) & (u_outcome < t_event) & ~absorbed
-    leaves = transmitted & (in_abl ^ down)  # upwards out of the ABL or downwards out of the stroma
-    fate = lanes.fate_of(in_abl, leaves, absorbed, u_outcome < first)
+    leaves = transmitted & place.leaves(down)
+    fate = place.fate(leaves, absorbed, u_outcome < first)
     redrawn = transmitted | process.perturb_on_reflection
     mode = jnp.where(scattered, lanes.SCATTERED, jnp.where(redrawn, lanes.FRESH, lanes.KEPT))
     turned = ~scattered & ~transmitted
-    return Photon(direction, None, lanes.pack(fate, in_abl ^ transmitted, mode, turned, k + 1))
+    return Photon(direction, None, place.packed(fate, transmitted, down, mode, turned, k + 1))

@@ -8,12 +8,18 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from irisjax._types import PRNGKey
+from irisjax._types import PRNGKey, Spectrum
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.quadrature import cosine_rule
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, fresnel_at, refract, refracted
 from irisjax.tissue.layers import Layers
-from irisjax.transport.ilit.layers import LayerFates, abl_responses, entry_weights, stroma_response
+from irisjax.transport.ilit.layers import (
+    LayerFates,
+    abl_responses,
+    entry_weights,
+    over_epithelium,
+    stroma_response,
+)
 from irisjax.transport.light import Light, first_surface
 from irisjax.transport.process import ILIT_2006, Ilit, attenuation, reflections, survival
 from irisjax.transport.solution import RESULTS, Flux, Solution, outcome
@@ -41,8 +47,12 @@ class IlitExact(AbstractSolver):
             layers.abl_absorption, layers.indices, layers.order, self.process, self.n_angles
         )
         stroma, converged = stroma_response(layers, self.process, self.n_angles)
+        through = None
+        if layers.ipe_absorption is not None:
+            stroma, through, also = over_epithelium(stroma, layers, self.process, self.n_angles)
+            converged = converged & also
         fates, check = (from_above, from_below, stroma), (converged, RESULTS.not_converged)
-        return combine(layers, light, self.process, fates, check)
+        return combine(layers, light, self.process, fates, check, through)
 
 
 def combine(
@@ -51,12 +61,13 @@ def combine(
     process: Ilit,
     fates: tuple[LayerFates, LayerFates, LayerFates],
     check: tuple[Bool[Array, ""], RESULTS],
+    through: Spectrum | None = None,
 ) -> Solution:
     """Put the layers together: light bounces between ABL and stroma until it leaves or is
     absorbed.
 
     `fates` are of light from above and from below in the ABL, and of light in the stroma; `check`
-    as in `outcome`.
+    as in `outcome`; `through`: the share of what the stroma passes that leaves behind, if any does.
     """
     from_above, from_below, stroma = fates
     mirrored, entered = first_surface(light, layers.indices, layers.extinction.dtype)
@@ -77,6 +88,7 @@ def combine(
         stroma=into_stroma * stroma.absorbed,
         ipe=into_stroma * stroma.passed,
         brdf=brdf,
+        behind=None if through is None else into_stroma * stroma.passed * through,
     ).solution(outcome(layers.valid(), check))
 
 

@@ -5,6 +5,7 @@ the internal reflections are a geometric series; scattering in the stroma closes
 of the phase function's rank.
 """
 
+import dataclasses
 from typing import NamedTuple
 
 import jax
@@ -139,6 +140,39 @@ def stroma_response(
         passed=down @ out_bottom,
         absorbed=absorbed + (jnp.where(guided, 1.0, 0.0) * entry) @ w,
     ), converged
+
+
+def over_epithelium(
+    stroma: LayerFates, layers: Layers, process: Ilit, n_angles: int
+) -> tuple[LayerFates, Spectrum, Bool[Array, ""]]:
+    """The stroma, which responds so to entry from above, together with a pigment epithelium that
+    lets light through: fates of entry from above; the share of what passes the stroma for good that
+    leaves behind; and whether the stroma's response from below converged.
+    """
+    n, order = layers.indices, layers.order
+    assert layers.ipe_absorption is not None
+    # The epithelium is a layer as the ABL is, turned over: it has aqueous humour on its far side.
+    turned = RefractiveIndices(n.aqueous, n.ipe, n.stroma, n.abl)
+    _, floor = abl_responses(layers.ipe_absorption, turned, Order(), process, n_angles)
+    below = dataclasses.replace(
+        layers,
+        indices=turned,
+        order=Order(stroma_over_abl=order.stroma_over_ipe, stroma_over_ipe=order.stroma_over_abl),
+    )
+    upwards, converged = stroma_response(below, process, n_angles)
+    kept = floor.passed + floor.absorbed
+    # 1 − R R' as a sum of losses.
+    lost = kept + floor.reflected * (upwards.passed + upwards.absorbed)
+    sealed = lost <= 0
+    entered = stroma.passed / jnp.where(sealed, 1.0, lost)
+    back = entered * floor.reflected
+    fates = LayerFates(
+        reflected=stroma.reflected + back * upwards.passed,
+        passed=entered * kept,
+        absorbed=stroma.absorbed + back * upwards.absorbed,
+    )
+    none = kept <= 0
+    return fates, jnp.where(none, 0.0, floor.passed / jnp.where(none, 1.0, kept)), converged
 
 
 def _scattered(process: Ilit, rule: CosineRule, first, again, rest, layers: Layers):

@@ -29,6 +29,7 @@ from irisjax.transport.radiative.directions import (
     Ordinates,
     beams_and_exits,
     gauss_nodes,
+    over_epithelium,
 )
 from irisjax.transport.radiative.doubling import Lines, Medium, Response, doubled_from
 from irisjax.transport.radiative.expansion import phase_matrices, series_value
@@ -97,10 +98,10 @@ class AddingDoubling(AbstractSolver):
         if phase is None:
             phase = PhaseMixture(jnp.ones_like(layers.albedo), jnp.zeros_like(layers.albedo))
         flux = laid_out(
-            jax.vmap(partial(_one_wavelength, doublings=doublings), (0, 0, 0, 0, None, None)),
+            jax.vmap(partial(_one_wavelength, doublings=doublings), (0, 0, 0, 0, 0, None, None)),
             layers.extinction,
             *(layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering, phase),
-            *(nodes, lit),
+            *(layers.ipe_absorption, nodes, lit),
         )
         resolved = (layers.extinction <= 1.001 * _COARSEST * 2.0**doublings).all()
         angles = resolution.angles_resolved(
@@ -122,9 +123,10 @@ def doublings_for(layers: Layers) -> int | None:
 
 
 def _one_wavelength(
-    abl, absorption, scattering, phase, nodes: Ordinates, lit: BeamsAndExits, *, doublings: int
+    abl, absorption, scattering, phase, ipe, nodes: Ordinates, lit: BeamsAndExits, *, doublings: int
 ) -> Flux:
-    beams, power, exits = lit.beams, lit.power, lit.exits
+    power = lit.power
+    nodes, beams, exits = (over_epithelium(ipe, d) for d in (nodes, lit.beams, lit.exits))
     count = nodes.cosine.size
     moments, peak = phase.truncated(count)
     scattering = scattering * (1 - peak)

@@ -14,7 +14,8 @@ def radiative_event(
     photon: Photon, words: Any, layers: LaneLayers, scale: Any, process: RadiativeTransfer
 ) -> Photon:
     """One flight with a free path in depth; directions change at interfaces by Snell's law only."""
-    in_abl, mode, k = (photon.code & 8) > 0, (photon.code >> 4) & 3, photon.code >> 6
+    place, mode = lanes.Place.of(photon.code, layers), (photon.code >> 4) & 3
+    k = photon.code >> 7
     outside = k == 0
     u_outcome, u_direction, azimuth = lanes.draws(words, scale)
     law = process.phase_function if layers.phase is None else layers.phase
@@ -28,17 +29,18 @@ def radiative_event(
     down, mu = direction > 0.0, jnp.maximum(jnp.abs(direction), 1e-12)
 
     to_end = jnp.where(down, layers.stroma - photon.depth, photon.depth)
-    path = jnp.where(outside, 0.0, jnp.where(in_abl, layers.abl, to_end))
+    path = jnp.where(outside, 0.0, place.pick(layers.abl, to_end, layers.ipe))
     p_event = attenuation(path, mu)
-    n_here = jnp.where(outside, layers.n_aqueous, jnp.where(in_abl, layers.n_abl, layers.n_stroma))
-    n_ahead = jnp.where(outside, layers.n_abl, lanes.beyond(in_abl, down, layers))
+    n_inside = place.pick(layers.n_abl, layers.n_stroma, layers.n_ipe)
+    n_here = jnp.where(outside, layers.n_aqueous, n_inside)
+    n_ahead = jnp.where(outside, layers.n_abl, place.beyond(down, layers))
     mirror = fresnel_at(mu, n_here, n_ahead)[0]
-    albedo = jnp.where(in_abl, 0.0, layers.albedo)
+    albedo = place.pick(0.0, layers.albedo, 0.0)
     t_absorbed = p_event * (1.0 - albedo)
     t_mirror = p_event + (1.0 - p_event) * mirror
     absorbed = u_outcome < t_absorbed
-    n_behind = lanes.beyond(in_abl, ~down, layers)
-    absorbed |= lanes.guided(mu, n_here, n_ahead, n_behind) & in_abl & ~outside
+    n_behind, turns = place.beyond(~down, layers), place.pick(False, True, False)
+    absorbed |= lanes.guided(mu, n_here, n_ahead, n_behind) & ~turns & ~outside
     transmitted = (u_outcome >= t_mirror) & ~absorbed
     scattered = (u_outcome >= t_absorbed) & (u_outcome < p_event) & ~absorbed
     # Given a scatter, (u − t_absorbed)/albedo is uniform below `p_event`, and places it.
@@ -46,11 +48,12 @@ def radiative_event(
     flown = -jnp.log1p(-jnp.clip(placed, 0.0, p_event)) * mu
     moved = photon.depth + jnp.where(down, 1.0, -1.0) * jnp.minimum(flown, to_end)
     at_end = jnp.where(down, layers.stroma, 0.0)
-    depth = jnp.where(in_abl | outside, 0.0, jnp.where(scattered, moved, at_end)) / scale[2]
+    depth = place.pick(0.0, jnp.where(scattered, moved, at_end), layers.stroma)
+    depth = jnp.where(outside, 0.0, depth) / scale[2]
     bent = jnp.sign(direction) * refract(mu, n_here, n_ahead)
     direction = jnp.where(transmitted, bent, direction)
-    leaves = transmitted & (in_abl ^ down) & ~outside
-    fate = lanes.fate_of(in_abl, leaves, absorbed, outside & ~transmitted)
+    leaves = transmitted & place.leaves(down) & ~outside
+    fate = place.fate(leaves, absorbed, outside & ~transmitted)
     mode, turned = jnp.where(scattered, lanes.SCATTERED, lanes.KEPT), ~scattered & ~transmitted
-    code = lanes.pack(fate, in_abl ^ (transmitted & ~outside), mode, turned, k + 1)
+    code = place.packed(fate, transmitted & ~outside, down, mode, turned, k + 1)
     return Photon(direction, depth, code)

@@ -10,7 +10,6 @@ import numpy as np
 from irisjax.numerics.quadrature import conserving, cosine_rule, quadratic_rule
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refract, refracted
-from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light, beams_of
 from irisjax.transport.process import attenuation, reflections, survival
@@ -43,6 +42,9 @@ class Ordinates(NamedTuple):
     """Directions in the stroma with what each meets at the interfaces, all of shape (angles,).
 
     At an interface: reflectance and transmittance, or what else the law of the interfaces gives.
+    The last three are of a pigment epithelium that lets light through, otherwise `None`; over it
+    (`over_epithelium`) `bottom` is that of the whole of it, and `through` the share of what enters
+    it for good that leaves it behind.
     """
 
     cosine: jax.Array
@@ -51,6 +53,9 @@ class Ordinates(NamedTuple):
     top: Any  # stroma/ABL
     surface: Any  # ABL/aqueous
     bottom: Any  # stroma/IPE
+    ipe_cosine: Any = None
+    behind: Any = None  # IPE/aqueous
+    through: jax.Array | None = None
 
 
 class BeamsAndExits(NamedTuple):
@@ -69,8 +74,8 @@ class BeamsAndExits(NamedTuple):
 
 
 class Roof(NamedTuple):
-    """The ABL seen from the stroma, or from the aqueous humour: shares of the flux that falls on
-    it, `reflected` beyond its first interface's own reflectance.
+    """A layer that only absorbs, such as the ABL seen from the stroma: shares of the flux that
+    falls on it, `reflected` beyond its first interface's own reflectance.
     """
 
     reflected: jax.Array
@@ -86,7 +91,7 @@ def quadrature_nodes(layers: Layers, n_angles: int, law: Callable = fresnel) -> 
     neighbours, critical, possible = _critical(layers)
     rule = conserving(cosine_rule(critical, possible, n_angles))
     cosines = [refracted(rule, i, n.stroma, k) for i, k in enumerate(neighbours)]
-    return _ordinates(n, law, rule.cosine, rule.weight, *cosines)
+    return _ordinates(layers, law, rule.cosine, rule.weight, *cosines)
 
 
 def gauss_nodes(layers: Layers, n_angles: int) -> Ordinates:
@@ -97,14 +102,14 @@ def gauss_nodes(layers: Layers, n_angles: int) -> Ordinates:
     neighbours, critical, possible = _critical(layers)
     cosine, weight = quadratic_rule(safe_sqrt(critical), possible, n_angles)
     cosines = [refract(cosine, n.stroma, k) for k in neighbours]
-    return _ordinates(n, fresnel, cosine, weight, *cosines)
+    return _ordinates(layers, fresnel, cosine, weight, *cosines)
 
 
 def from_outside(layers: Layers, outside: jax.Array, law: Callable = fresnel) -> Ordinates:
     """Directions with given cosines in the aqueous humour; they carry no quadrature weight."""
     n = layers.indices
     abl, stroma, ipe = (refract(outside, n.aqueous, k) for k in (n.abl, n.stroma, n.ipe))
-    return _ordinates(n, law, stroma, jnp.zeros_like(outside), outside, abl, ipe)
+    return _ordinates(layers, law, stroma, jnp.zeros_like(outside), outside, abl, ipe)
 
 
 def beams_and_exits(
@@ -131,7 +136,26 @@ def roof_of(depth: jax.Array, d: Ordinates, *, from_stroma: bool = True) -> Roof
     humour.
     """
     near, far = (d.top, d.surface) if from_stroma else (d.surface, d.top)
-    t, lost = survival(depth, d.abl_cosine), attenuation(depth, d.abl_cosine)
+    return _absorber(depth, d.abl_cosine, near, far)
+
+
+def over_epithelium(ipe: jax.Array | None, d: Any) -> Any:
+    """Directions over a pigment epithelium of optical depth `ipe`; the same ones over a black
+    epithelium (`None`).
+    """
+    if ipe is None or d is None:
+        return d
+    layer = _absorber(ipe, d.ipe_cosine, d.bottom, d.behind)
+    entered = layer.passed + layer.absorbed
+    none = entered <= 0
+    return d._replace(
+        bottom=(d.bottom[0] + layer.reflected, entered),
+        through=jnp.where(none, 0.0, layer.passed / jnp.where(none, 1.0, entered)),
+    )
+
+
+def _absorber(depth: jax.Array, cosine: jax.Array, near: Any, far: Any) -> Roof:
+    t, lost = survival(depth, cosine), attenuation(depth, cosine)
     series, sealed = reflections(t, lost, near, far)
     # What can neither leave nor be absorbed counts as absorbed, the limit of least absorption.
     absorbed = jnp.where(sealed, 1.0, lost * (1 + t * far[0]) * series)
@@ -168,12 +192,15 @@ def _critical(layers: Layers):
     return neighbours, critical, (True, order.stroma_over_abl, order.stroma_over_ipe)
 
 
-def _ordinates(n: RefractiveIndices, law, stroma, weight, aqueous, abl, ipe) -> Ordinates:
-    # One call for the three interfaces: a third of the program.
-    here, beyond = jnp.stack([stroma, abl, stroma]), jnp.stack([abl, aqueous, ipe])
-    indices = jnp.stack([n.stroma, n.abl, n.stroma]), jnp.stack([n.abl, n.aqueous, n.ipe])
+def _ordinates(layers: Layers, law, stroma, weight, aqueous, abl, ipe) -> Ordinates:
+    # One call for all interfaces: a third of the program.
+    n, deep = layers.indices, layers.ipe_absorption is not None
+    here, beyond = (stroma, abl, stroma, ipe), (abl, aqueous, ipe, aqueous)
+    indices = (n.stroma, n.abl, n.stroma, n.ipe), (n.abl, n.aqueous, n.ipe, n.aqueous)
+    count = 4 if deep else 3
+    here, beyond, *indices = (jnp.stack(x[:count]) for x in (here, beyond, *indices))
     met = law(here, beyond, *(x[:, None] for x in indices))
-    top, surface, bottom = (jax.tree.map(lambda x, k=k: x[k], met) for k in range(3))
+    top, surface, bottom, *behind = (jax.tree.map(lambda x, k=k: x[k], met) for k in range(count))
     return Ordinates(
         # A beam that cannot enter has cosine 0 and no power; keep the exponentials finite.
         cosine=jnp.where(stroma > 0, stroma, 1.0),
@@ -182,4 +209,6 @@ def _ordinates(n: RefractiveIndices, law, stroma, weight, aqueous, abl, ipe) -> 
         top=top,
         surface=surface,
         bottom=bottom,
+        ipe_cosine=jnp.where(ipe > 0, ipe, 1.0) if deep else None,
+        behind=behind[0] if deep else None,
     )

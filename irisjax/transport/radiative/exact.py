@@ -31,6 +31,7 @@ from irisjax.transport.radiative.directions import (
     beams_and_exits,
     ends_of,
     joined_sets,
+    over_epithelium,
     parted,
     quadrature_nodes,
     roof_of,
@@ -96,18 +97,18 @@ _steepness = jax.jit(resolution.steepness)
 def _solve(layers: Layers, light: Light, n_angles: int, how: tuple[int, int]) -> Flux:
     lit = beams_and_exits(layers, light, 2 * n_angles)
     return laid_out(
-        jax.vmap(partial(_one_wavelength, how=how), (0, 0, 0, 0, None, None)),
+        jax.vmap(partial(_one_wavelength, how=how), (0, 0, 0, 0, 0, None, None)),
         layers.extinction,
         *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
-        *(quadrature_nodes(layers, n_angles), lit),
+        *(layers.ipe_absorption, quadrature_nodes(layers, n_angles), lit),
     )
 
 
 def _one_wavelength(
-    abl, depth, albedo, coalbedo, nodes: Ordinates, lit: BeamsAndExits, *, how
+    abl, depth, albedo, coalbedo, ipe, nodes: Ordinates, lit: BeamsAndExits, *, how
 ) -> Flux:
-    depth = resolution.seen_depth(depth, coalbedo)
-    slab, beams, exits = Slab(depth, *how), lit.beams, lit.exits
+    slab = Slab(depth := resolution.seen_depth(depth, coalbedo), *how)
+    nodes, beams, exits = (over_epithelium(ipe, d) for d in (nodes, lit.beams, lit.exits))
     # All directions together, so that one fused loop serves them.
     everywhere = joined_sets(nodes, beams, exits)
     roof = roof_of(abl, everywhere)

@@ -25,7 +25,8 @@ class Beam(NamedTuple):
 
     `mirrored` at the first surface; `reflected` by the inner interfaces and out again; `abl`,
     absorbed there; `lost` to the stroma, absorbed or scattered in it; `passed` into the IPE. They
-    sum to one. `entered`: the share that comes to the stroma's top for the first time.
+    sum to one. `entered`: the share that comes to the stroma's top for the first time; `behind`:
+    the share that leaves the IPE behind, or `None`.
     """
 
     mirrored: jax.Array
@@ -34,6 +35,7 @@ class Beam(NamedTuple):
     lost: jax.Array
     passed: jax.Array
     entered: jax.Array
+    behind: jax.Array | None
 
 
 class Course(NamedTuple):
@@ -68,13 +70,15 @@ def before(abl: jax.Array, depth: jax.Array, beams: Ordinates) -> Beam:
     through, way = survival(depth, beams.cosine), course(abl, depth, beams)
     down = roof_in.passed * way.series
     up = down * through * way.back
+    passed = down * through * beams.bottom[1]
     return Beam(
         mirrored=beams.surface[0],
         reflected=roof_in.reflected + up * way.roof.passed,
         abl=roof_in.absorbed + up * way.roof.absorbed,
         lost=roof_in.passed * way.lost,
-        passed=down * through * beams.bottom[1],
+        passed=passed,
         entered=roof_in.passed,
+        behind=None if beams.through is None else passed * beams.through,
     )
 
 
@@ -101,12 +105,16 @@ def with_scattered(
     light with radiances `up` at the stroma's top and `down` at its bottom along the nodes.
     """
     flux = nodes.weight * nodes.cosine
+    into_ipe, behind = down * nodes.bottom[1], None
+    if nodes.through is not None and beam.behind is not None:
+        behind = power @ beam.behind + flux @ (into_ipe * nodes.through)
     return Flux(
         reflectance=power @ beam.reflected + flux @ (up * roof.passed),
         mirrored=power @ beam.mirrored,
         abl=power @ beam.abl + flux @ (up * roof.absorbed),
         stroma=stroma,
-        ipe=power @ beam.passed + flux @ (down * nodes.bottom[1]),
+        ipe=power @ beam.passed + flux @ into_ipe,
+        behind=behind,
     )
 
 

@@ -149,7 +149,8 @@ def _angular_error(layers: Layers, phase: PhaseMixture, n_angles: int, cosine, p
     spread = jnp.minimum(1.0, jnp.minimum(thin, thick))
     grazing = jnp.maximum(0.12 * near, oblique) * spread
     # Light scattered oftener, or sent back by interfaces, comes along all directions.
-    trapped = (n.stroma > n.ipe) & (n.stroma > n.aqueous)
+    mirrored_below = (n.stroma > n.ipe) | (layers.ipe_absorption is not None)
+    trapped = mirrored_below & (n.stroma > n.aqueous)
     most, from_ = jnp.where(trapped, 0.025, 0.011), jnp.where(trapped, 0.3, 0.02)
     known = jnp.where(forwards, jnp.minimum(1.0, (whole / from_) ** 0.7), 1.0)
     others = most * known * max(1.0, (16 / n_angles) ** 4)

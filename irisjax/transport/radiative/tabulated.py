@@ -40,7 +40,7 @@ from irisjax.transport.radiative.directions import (
     quadrature_nodes,
 )
 from irisjax.transport.solution import RESULTS, Flux, Solution, outcome
-from irisjax.transport.solver import AbstractSolver, check_rayleigh
+from irisjax.transport.solver import AbstractSolver, check_black, check_rayleigh
 
 _NODES = 24, 48, 10, 8  # along τ_A, τ, ω and the cosine
 _BRDF_NODES = 12, 24, 8, 6, 6  # along τ_A, τ, ω and the cosines in and out
@@ -102,6 +102,7 @@ class RadiativeTabulated(AbstractSolver):
 
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         check_rayleigh(self, layers)
+        check_black(self, layers)
         # More than 16 take XLA at least four times as long.
         beams, interfaces = (60, 3) if self.dense_outside else (16, 0)
         lit = beams_and_exits(layers, light, beams, interfaces)

@@ -28,6 +28,7 @@ from irisjax.transport.radiative.polarised.interfaces import (
     Met,
     PolarisedOrdinates,
     meet,
+    over_polarised,
     polarised,
     unscattered,
 )
@@ -59,19 +60,20 @@ def solve_polarised(
     wanted = light.matrices or lit.exits is not None
     one = partial(_one_wavelength, how=how, modes=modes, matrices=wanted)
     flux, matrices = laid_out(
-        jax.vmap(one, in_axes=(0, 0, 0, 0, *(None,) * 3)),
+        jax.vmap(one, in_axes=(0, 0, 0, 0, 0, *(None,) * 3)),
         layers.extinction,
         *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
-        *(layers.indices, polarised(quadrature_nodes, layers, n_angles), lit),
+        *(layers.ipe_absorption, layers.indices),
+        *(polarised(quadrature_nodes, layers, n_angles), lit),
     )
     return flux, None if matrices is None else Polarisation(*matrices)
 
 
 def _one_wavelength(
-    abl, depth, albedo, coalbedo, n, nodes, lit: BeamsAndExits, *, how, modes, matrices: bool
+    abl, depth, albedo, coalbedo, ipe, n, nodes, lit: BeamsAndExits, *, how, modes, matrices: bool
 ):
-    depth = seen_depth(depth, coalbedo)
-    slab, beams, exits = Slab(depth, *how), lit.beams, lit.exits
+    slab = Slab(depth := seen_depth(depth, coalbedo), *how)
+    nodes, beams, exits = (over_polarised(ipe, d) for d in (nodes, lit.beams, lit.exits))
     angle, beam, *exit_ = meet(slab, abl, nodes, beams, exits)
     # Of I_l and of I_r, (2, beams).
     first = before(abl, depth, joined_sets(beams.p, beams.s))

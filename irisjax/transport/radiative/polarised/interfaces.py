@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from irisjax.optics.fresnel import coherence, fresnel_p, fresnel_s, refract
+from irisjax.optics.fresnel import Coherence, coherence, fresnel_p, fresnel_s, refract
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.transport.process import attenuation, survival
 from irisjax.transport.radiative.directions import (
@@ -18,6 +18,7 @@ from irisjax.transport.radiative.directions import (
     Roof,
     ends_of,
     joined_sets,
+    over_epithelium,
     parted,
     roof_of,
 )
@@ -54,15 +55,31 @@ def polarised(make: Callable, *where: Any) -> PolarisedOrdinates:
     """`PolarisedOrdinates` of `quadrature_nodes` or `from_outside`."""
     d = make(*where, lambda *x: (fresnel_p(*x), fresnel_s(*x), coherence(*x)))
     return PolarisedOrdinates(
-        *(Ordinates(*d[:3], *(interface[k] for interface in d[3:])) for k in range(3))
+        *(
+            d._replace(**{i: getattr(d, i)[k] for i in _INTERFACES if getattr(d, i) is not None})
+            for k in range(3)
+        )
     )
+
+
+_INTERFACES = ("top", "surface", "bottom", "behind")
+
+
+def over_polarised(ipe: jax.Array | None, d: PolarisedOrdinates | None) -> Any:
+    """`over_epithelium` of polarised directions; sets may be `None`."""
+    if ipe is None or d is None:
+        return d
+    whole = turning_layer(ipe, d.w.ipe_cosine, d.w.bottom, d.w.behind)
+    p, s = over_epithelium(ipe, d.p), over_epithelium(ipe, d.s)
+    return PolarisedOrdinates(p, s, d.w._replace(bottom=whole))
 
 
 def meet(slab: Slab, abl: jax.Array, *sets: PolarisedOrdinates | None) -> list[Met]:
     """`Met` of each of some sets of directions; sets may be `None`."""
     d = joined_sets(*sets)
     both = joined_sets(d.p, d.s)
-    roof, turning = roof_of(abl, both), turning_roof(abl, d.w)
+    roof = roof_of(abl, both)
+    turning = turning_layer(abl, d.w.abl_cosine, d.w.top, d.w.surface)
     of_w = _turning_images(slab.depth, d.w, turning)
     along = slab.imaged(d.p.cosine, of_w)
     linear = slab.images(both.cosine, ends_of(roof, both))
@@ -80,34 +97,37 @@ def meet(slab: Slab, abl: jax.Array, *sets: PolarisedOrdinates | None) -> list[M
     return found
 
 
-class TurningRoof(NamedTuple):
-    """The ABL seen from the stroma, for W: what it reflects, 1 less that, and what passes it."""
+class TurningLayer(NamedTuple):
+    """ABL or IPE seen from the stroma, for W: what it reflects, 1 less that, and what passes it."""
 
     reflected: jax.Array
     lost: jax.Array
     passed: jax.Array
 
 
-def turning_roof(abl: jax.Array, d: Ordinates) -> TurningRoof:
-    """`TurningRoof` of an ABL of this optical depth along directions `PolarisedOrdinates.w`."""
-    top, above = d.top, d.surface
-    through, twice = (_complex(survival(x, d.abl_cosine)) for x in (abl, 2 * abl))
-    gone = attenuation(2 * abl, d.abl_cosine)
-    series = _series(gone, twice, top, above)
-    passed, contrast = _complex(top.passed), _complex(top.contrast)
-    once = _complex(gone) + twice * above.lost
-    reflected = top.reflected + passed * passed * twice * above.reflected * series
-    lost = series * (top.lost * once + twice * above.reflected * contrast * contrast)
-    # Where all is reflected, the ABL is not seen.
-    total = top.passed == 0
-    return TurningRoof(
-        reflected=jnp.where(total, top.reflected, reflected),
-        lost=jnp.where(total, top.lost, lost),
-        passed=passed * through * _complex(above.passed) * series,
+def turning_layer(
+    depth: jax.Array, cosine: jax.Array, near: Coherence, far: Coherence
+) -> TurningLayer:
+    """`TurningLayer` of this optical depth along cosines in it, between its near and its far
+    face.
+    """
+    through, twice = (_complex(survival(x, cosine)) for x in (depth, 2 * depth))
+    gone = attenuation(2 * depth, cosine)
+    series = _series(gone, twice, near, far)
+    passed, contrast = _complex(near.passed), _complex(near.contrast)
+    once = _complex(gone) + twice * far.lost
+    reflected = near.reflected + passed * passed * twice * far.reflected * series
+    lost = series * (near.lost * once + twice * far.reflected * contrast * contrast)
+    # Where all is reflected, the layer is not seen.
+    total = near.passed == 0
+    return TurningLayer(
+        reflected=jnp.where(total, near.reflected, reflected),
+        lost=jnp.where(total, near.lost, lost),
+        passed=passed * through * _complex(far.passed) * series,
     )
 
 
-def _turning_images(depth, d: Ordinates, roof: TurningRoof) -> Images:
+def _turning_images(depth, d: Ordinates, roof: TurningLayer) -> Images:
     through, twice = survival(depth, d.cosine), survival(2 * depth, d.cosine)
     series = _series(attenuation(2 * depth, d.cosine), _complex(twice), roof, d.bottom)
     floor = d.bottom.reflected

@@ -19,7 +19,7 @@ from irisjax.transport.light import Directions, Light
 from irisjax.transport.process import POLARISED, RadiativeTransfer, sample_entry
 from irisjax.transport.radiative.polarised import photon
 from irisjax.transport.solution import Polarisation, Solution, counted, outcome
-from irisjax.transport.solver import AbstractSolver, check_rayleigh
+from irisjax.transport.solver import AbstractSolver, check_black, check_rayleigh
 
 _BATCH = 4096  # photons under way at once; results depend on it by rounding
 APERTURE = Range(1e-3, 0.5, "rad", above=False)
@@ -59,6 +59,7 @@ class PolarisedMonteCarlo(AbstractSolver):
 
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         check_rayleigh(self, layers)
+        check_black(self, layers)
         key = checked_key(key)
         dtype = layers.extinction.dtype
         exits = None if light.exits is None else _exits(light.exits, self.aperture)

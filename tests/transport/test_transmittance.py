@@ -1,0 +1,216 @@
+"""Light that leaves the iris behind, through a pigment epithelium with a melanin mass."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import irisjax as ij
+from common import quick_jit
+from irisjax.tissue.pigments import extinction
+from irisjax.transport.defaults import quickest
+
+WAVES = np.array([450.0, 550.0, 650.0])
+PALE = ij.Iris.of_level("low")
+SOLVERS = {
+    "ilit": ij.IlitExact(16),
+    "radiative": ij.RadiativeExact(28),
+    "doubling": ij.AddingDoubling(20, 8),
+    "polarised": ij.RadiativeExact(12, process=ij.POLARISED),
+}
+COSINE = 0.8
+
+
+def layers_with(mass):
+    iris = PALE if mass is None else PALE.replace(ipe_melanin=mass)
+    return iris.layers(extinction(WAVES))
+
+
+@pytest.fixture(scope="module")
+def solved():
+    """Solutions by solver and melanin mass, one program a solver."""
+    found = {}
+    for name, solver in SOLVERS.items():
+        run = quick_jit(lambda layers, solver=solver: solver.solve(layers, ij.Light(COSINE)))
+        for mass in (0.0, 0.5, 1e4):
+            found[name, mass] = run(layers_with(mass))
+        found[name, None] = run(layers_with(None))
+    return found
+
+
+# An adding–doubling of its own: operators over directions that share their Snell invariants, in
+# NumPy. A layer is what it sends back and on, from above and from below.
+
+
+def stacked(first, second):
+    r1, t1, r2, t2 = first  # from above: back, on; from below: back, on
+    s1, u1, s2, u2 = second
+    one = np.eye(len(r1))
+    down = np.linalg.solve(one - r2 @ s1, t1)  # arrives at the second from above
+    up = np.linalg.solve(one - s1 @ r2, u2)  # arrives at the first from below
+    return r1 + t2 @ s1 @ down, u1 @ down, s2 + u1 @ r2 @ up, t2 @ up
+
+
+def interface(cosine, n_in, n_out):
+    sine = n_in / n_out * np.sqrt(1 - cosine**2)
+    beyond = np.sqrt(np.maximum(1 - sine**2, 0))
+    s = (n_in * cosine - n_out * beyond) / (n_in * cosine + n_out * beyond)
+    p = (n_out * cosine - n_in * beyond) / (n_out * cosine + n_in * beyond)
+    mirror = np.where(sine >= 1, 1.0, (s**2 + p**2) / 2)
+    return [np.diag(x) for x in (mirror, 1 - mirror, mirror, 1 - mirror)]
+
+
+def absorber(depth, cosine):
+    nothing, through = np.zeros((len(cosine),) * 2), np.diag(np.exp(-depth / cosine))
+    return nothing, through, nothing, through
+
+
+def scatterer(absorption, scattering, cosine, weight, doublings=24):
+    """A slab by doubling from the diamond scheme; Rayleigh's law in the mean over azimuth."""
+    m2, n2 = cosine[:, None] ** 2, cosine[None] ** 2
+    phase = 3 / 16 * (3 - m2 + (3 * m2 - 1) * n2)  # half of the phase function's mean
+    depth = (absorption + scattering) / 2**doublings
+    thin = scattering / 2**doublings * phase * weight[:, None] / cosine[None]  # flux into a row
+    one = np.eye(len(cosine))
+    gone = np.diag(depth / cosine)
+    near, far = one + (gone - thin) / 2, thin / 2
+    # (out_up, out_down) from (in_down, in_up), the light inside being the mean of in and out.
+    whole = np.block([[near, -far], [-far, near]])
+    inward = np.block([[2 * one - near, far], [far, 2 * one - near]])
+    moved = np.linalg.solve(whole, inward)
+    n = len(cosine)
+    on, back = moved[:n, :n], moved[n:, :n]
+    slab = back, on, back, on
+    for _ in range(doublings):
+        slab = stacked(slab, slab)
+    return slab
+
+
+def transmittance_apart(layers, k, cosine_outside, halves=False):
+    """Reflectance without the first surface's, and transmittance, at wavelength k."""
+    n = layers.indices
+    aqueous, abl, stroma, ipe = (float(x) for x in (n.aqueous, n.abl, n.stroma, n.ipe))
+    # Directions in the stroma: two panels, crowded at both ends of each; the beam has no weight.
+    x, w = np.polynomial.legendre.leggauss(40)
+    u, w = (x + 1) / 2, w / 2
+    critical = np.sqrt(1 - (aqueous / stroma) ** 2)
+    cosine, weight = [], []
+    for low, high in ((0.0, critical), (critical, 1.0)):
+        cosine.append(low + (high - low) * u**2 * (3 - 2 * u))
+        weight.append((high - low) * 6 * u * (1 - u) * w)
+    inside = np.sqrt(1 - (1 - cosine_outside**2) * (aqueous / stroma) ** 2)
+    mu = np.append(np.concatenate(cosine), inside)
+    weight = np.append(np.concatenate(weight), 0.0)
+
+    def along(medium):  # the same rays elsewhere; where they cannot be, any cosine will do
+        return np.sqrt(np.maximum(1 - (stroma / medium) ** 2 * (1 - mu**2), 1e-12))
+
+    outside, in_abl, in_ipe = along(aqueous), along(abl), along(ipe)
+    depths = layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering
+    a, b, c, d = (float(x[k]) for x in (*depths, layers.ipe_absorption))
+    parts = 2 if halves else 1
+    pile = [interface(outside, aqueous, abl), absorber(a, in_abl), interface(in_abl, abl, stroma)]
+    pile += [scatterer(b / parts, c / parts, mu, weight)] * parts
+    pile += [interface(mu, stroma, ipe), *[absorber(d / parts, in_ipe)] * parts]
+    pile += [interface(in_ipe, ipe, aqueous)]
+    total = np.sqrt(1 - mu**2) * stroma >= aqueous  # cannot be outside: all is mirrored there
+    for j in (0, -1):
+        pile[j] = [np.where(total, e, m) for e, m in zip(_mirror(len(mu)), pile[j], strict=True)]
+    whole = pile[0]
+    for layer in pile[1:]:
+        whole = stacked(whole, layer)
+    back, on = whole[0][:, -1].sum(), whole[1][:, -1].sum()
+    return back - pile[0][0][-1, -1], on
+
+
+def _mirror(n):
+    return np.eye(n), np.zeros((n, n)), np.eye(n), np.zeros((n, n))
+
+
+@pytest.mark.parametrize("k", range(3))
+def test_adding_doubling_written_apart(solved, k):
+    layers = layers_with(0.5)
+    reflected, transmitted = transmittance_apart(layers, k, COSINE)
+    for name, near in (("radiative", 1e-7), ("doubling", 2e-6)):
+        found = solved[name, 0.5]
+        np.testing.assert_allclose(found.transmitted[k], transmitted, rtol=near)
+        np.testing.assert_allclose(found.reflectance[k], reflected, rtol=near)
+    if k == 1:  # layers split at will change nothing
+        split = transmittance_apart(layers, k, COSINE, halves=True)
+        np.testing.assert_allclose(split, (reflected, transmitted), rtol=1e-8)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_energy_closes(solved, name):
+    for mass in (0.0, 0.5, 1e4):
+        found = solved[name, mass]
+        np.testing.assert_allclose(found.energy, 1, rtol=1e-12)
+    if name != "ilit":  # whose rays, drawn anew in each layer, a clear one may guide for ever
+        np.testing.assert_allclose(solved[name, 0.0].absorbed.ipe, 0, atol=1e-15)
+    assert (solved[name, 0.5].transmitted < solved[name, 0.0].transmitted).all()
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_thick_epithelium_is_black(solved, name):
+    thick, black = solved[name, 1e4], solved[name, None]
+    assert black.transmitted is None
+    np.testing.assert_array_less(thick.transmitted, 1e-100)
+    np.testing.assert_allclose(thick.reflectance, black.reflectance, rtol=1e-12)
+
+
+def test_polarisation_changes_little_of_it(solved):
+    polarised, scalar = (solved[n, 0.5].transmitted for n in ("polarised", "radiative"))
+    np.testing.assert_allclose(polarised, scalar, rtol=1e-3)
+    assert (polarised != scalar).all()
+
+
+@pytest.mark.parametrize("process", [ij.ILIT_2006, ij.DEPTH_RESOLVED], ids=("ilit", "radiative"))
+def test_photons(solved, process):
+    ilit = process == ij.ILIT_2006
+    photons = ij.MonteCarlo(100_000, process=process)
+    found = quick_jit(photons.solve)(layers_with(0.5), ij.Light(COSINE), key=jax.random.key(3))
+    expected = solved["ilit" if ilit else "radiative", 0.5]
+    z = (found.transmitted - expected.transmitted) / found.transmitted_error
+    assert np.abs(z).max() < 4
+    kept = (found.absorbed.ipe - expected.absorbed.ipe) / np.sqrt(expected.absorbed.ipe / 1e5)
+    assert np.abs(kept).max() < 4
+    np.testing.assert_allclose(found.energy, 1, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "solver", [ij.IlitExact(8), ij.RadiativeExact(8, 4)], ids=("ilit", "radiative")
+)
+def test_derivatives(solver):
+    names = "ipe_melanin", "eumelanin"
+
+    def transmitted(values):
+        iris = PALE.replace(**dict(zip(names, values, strict=True)))
+        return solver.solve(iris.layers(extinction(WAVES)), ij.Light(1.0)).transmitted
+
+    run, at, steps = quick_jit(transmitted), jnp.array([0.5, 0.1]), 1e-4 * np.eye(2)
+    found = quick_jit(jax.jacfwd(transmitted))(at)
+    for k, step in enumerate(steps):
+        slope = (run(at + step) - run(at - step)) / 2e-4
+        np.testing.assert_allclose(found[:, k], slope, rtol=1e-5)
+
+
+@pytest.mark.parametrize("made", ["IlitTabulated", "PolarisedMonteCarlo"])
+def test_who_has_a_black_epithelium_says_so(made):
+    tabulated = made == "IlitTabulated"
+    solver = quickest(PALE, 1.336, ij.ILIT_2006) if tabulated else ij.PolarisedMonteCarlo(10)
+    with pytest.raises(ValueError, match="black pigment epithelium; one with ipe_melanin takes"):
+        solver.solve(layers_with(0.5), ij.Light(1.0), key=jax.random.key(0))
+
+
+def test_the_instrument(solved):
+    iris = PALE.replace(ipe_melanin=0.5)
+    read = ij.transmittance(iris, WAVES, cos_incidence=COSINE, solver=SOLVERS["ilit"])
+    np.testing.assert_allclose(read, solved["ilit", 0.5].transmitted, rtol=1e-12)
+    assert read.quantity == "transmittance"
+    shares = read.absorbed.total() + read.transmitted + read.mirrored
+    reflected = ij.reflectance(iris, WAVES, cos_incidence=COSINE, solver=SOLVERS["ilit"])
+    np.testing.assert_allclose(shares + reflected.values - read.mirrored, 1, rtol=1e-12)
+    with pytest.raises(ValueError, match="no light gets behind a black pigment epithelium"):
+        ij.transmittance(PALE, WAVES)
+    with pytest.raises(ValueError, match="transmitted light leaves behind"):
+        ij.Transmissometer(WAVES, cornea="round-trip")
