@@ -172,8 +172,8 @@ class SpectrumLight(BandedLight):
         "degree of linear polarisation",
         (*PHOTOMETERS, *POLARIMETERS),
         "reflectance",
-        names="--instrument --quantity",
     )
+    quantity: str | None = opt.option("the same as --instrument", parse=str, metavar="name")
     illuminant: str = opt.option(
         "light source by its name in colour-science", "D65", metavar="name"
     )
@@ -193,6 +193,13 @@ class SpectrumLight(BandedLight):
         Range(-360, 360, "degrees"),
         0.0,
     )
+
+    def __post_init__(self):
+        if self.quantity is not None:  # by the name that it has in `irisjax fit`
+            known = opt.one_of(*PHOTOMETERS, *POLARIMETERS)
+            object.__setattr__(self, "instrument", known(self.quantity))
+            object.__setattr__(self, "quantity", None)
+        super().__post_init__()
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
         told = self.before_the_iris()

@@ -149,8 +149,14 @@ def check_pictured(iris: Iris) -> None:
     """Check that an iris can be drawn.
 
     Raises:
-        ValueError: For a power law of scattering, which pictures do not support.
+        ValueError: For a power law of scattering, and for a pigment epithelium that lets light
+            through, which pictures do not support.
     """
+    if iris.ipe_melanin is not None:
+        raise ValueError(
+            "a picture has nothing behind the iris, whose pigment epithelium is black: leave out "
+            "ipe_melanin"
+        )
     if iris.power_law is not None:
         raise ValueError(
             "a picture needs the iris's formula of scattering (lb06, rayleigh-spheres), not a "

@@ -57,7 +57,7 @@ class Photon(NamedTuple):
     code: jax.Array
 
 
-class Place(NamedTuple):
+class InLayer(NamedTuple):
     """Where a photon is: in the ABL, in a pigment epithelium that is followed, or in neither: in
     the stroma. There is no second flag where the epithelium is black.
     """
@@ -66,7 +66,7 @@ class Place(NamedTuple):
     in_ipe: jax.Array | None
 
     @classmethod
-    def of(cls, code: jax.Array, layers: LaneLayers) -> "Place":
+    def of(cls, code: jax.Array, layers: LaneLayers) -> "InLayer":
         """Read it from `Photon.code`."""
         return cls((code & 8) > 0, None if layers.ipe is None else (code & 64) > 0)
 

@@ -73,6 +73,20 @@ def test_values_are_the_librarys(irisjax, quick, printed, name):
         assert float(header["cos_incidence"]) == pytest.approx(0.5)
 
 
+def test_transmittance_by_either_name(irisjax, printed):
+    how = ("--ipe-melanin", "2", "--wavelengths", "650", "--level", "low")
+    found = [irisjax("spectrum", name, "transmittance", *how) for name in NAMES]
+    assert found[0] == found[1]
+    columns = printed(found[0][1]).columns
+    iris = ij.Iris.of_level("low").replace(ipe_melanin=2.0)
+    np.testing.assert_allclose(columns["transmittance"], ij.transmittance(iris, [650.0]).values)
+    status, _, err = irisjax("spectrum", NAMES[0], "transmittance", "--wavelengths", "650")
+    assert status == 2
+    assert "no light gets behind a black pigment epithelium" in err
+    assert irisjax("spectrum", "--quantity", "colour")[0] == 2
+
+
+NAMES = "--instrument", "--quantity"
 POWER_LAW = ("--process", "depth-resolved", "--reduced-scattering", "1.2")
 
 
@@ -181,7 +195,7 @@ def test_brdf_over_the_hemisphere(irisjax, quick, printed):
 
 def test_every_parameter_and_switch_is_in_the_header(irisjax, quick, printed):
     header = printed(irisjax("spectrum", *GRID)[1]).header
-    optional = {"abl_index", "stroma_index", "pheomelanin_abl_fraction"}
+    optional = {"abl_index", "stroma_index", "pheomelanin_abl_fraction", "ipe_melanin"}
     assert set(LIMITS) - optional <= set(header)
     switches = {"process", "phase", "rescatter", "perturb_on_reflection", "scattering", "cornea"}
     assert {"irisjax", *switches} <= set(header)

@@ -7,6 +7,7 @@ import pytest
 
 import irisjax as ij
 from common import quick_jit
+from irisjax.tissue.maps import check_pictured
 from irisjax.tissue.pigments import extinction
 from irisjax.transport.defaults import quickest
 
@@ -212,5 +213,7 @@ def test_the_instrument(solved):
     np.testing.assert_allclose(shares + reflected.values - read.mirrored, 1, rtol=1e-12)
     with pytest.raises(ValueError, match="no light gets behind a black pigment epithelium"):
         ij.transmittance(PALE, WAVES)
+    with pytest.raises(ValueError, match="a picture has nothing behind the iris"):
+        check_pictured(iris)
     with pytest.raises(ValueError, match="transmitted light leaves behind"):
         ij.Transmissometer(WAVES, cornea="round-trip")

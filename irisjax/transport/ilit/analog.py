@@ -12,7 +12,7 @@ from irisjax.transport.process import Ilit, attenuation, sample_entry
 
 def ilit_event(photon: Photon, words: Any, layers: LaneLayers, scale: Any, process: Ilit) -> Photon:
     """One flight and the interface at its end, by the rules of ILIT  [LB06 Section 3, Fig. 4]."""
-    place, mode = lanes.Place.of(photon.code, layers), (photon.code >> 4) & 3
+    place, mode = lanes.InLayer.of(photon.code, layers), (photon.code >> 4) & 3
     k = photon.code >> 7
     u_outcome, u_direction, azimuth = lanes.draws(words, scale)
     turned = lanes.deflect(

@@ -17,8 +17,8 @@ from irisjax.transport.ilit.layers import (
     LayerFates,
     abl_responses,
     entry_weights,
-    over_epithelium,
     stroma_response,
+    with_epithelium,
 )
 from irisjax.transport.light import Light, first_surface
 from irisjax.transport.process import ILIT_2006, Ilit, attenuation, reflections, survival
@@ -49,7 +49,7 @@ class IlitExact(AbstractSolver):
         stroma, converged = stroma_response(layers, self.process, self.n_angles)
         through = None
         if layers.ipe_absorption is not None:
-            stroma, through, also = over_epithelium(stroma, layers, self.process, self.n_angles)
+            stroma, through, also = with_epithelium(stroma, layers, self.process, self.n_angles)
             converged = converged & also
         fates, check = (from_above, from_below, stroma), (converged, RESULTS.not_converged)
         return combine(layers, light, self.process, fates, check, through)

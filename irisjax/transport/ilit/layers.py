@@ -142,7 +142,7 @@ def stroma_response(
     ), converged
 
 
-def over_epithelium(
+def with_epithelium(
     stroma: LayerFates, layers: Layers, process: Ilit, n_angles: int
 ) -> tuple[LayerFates, Spectrum, Bool[Array, ""]]:
     """The stroma, which responds so to entry from above, together with a pigment epithelium that

@@ -14,7 +14,7 @@ def radiative_event(
     photon: Photon, words: Any, layers: LaneLayers, scale: Any, process: RadiativeTransfer
 ) -> Photon:
     """One flight with a free path in depth; directions change at interfaces by Snell's law only."""
-    place, mode = lanes.Place.of(photon.code, layers), (photon.code >> 4) & 3
+    place, mode = lanes.InLayer.of(photon.code, layers), (photon.code >> 4) & 3
     k = photon.code >> 7
     outside = k == 0
     u_outcome, u_direction, azimuth = lanes.draws(words, scale)
