@@ -12,6 +12,8 @@ TINY = {64: 1e-12, 32: 1e-6}
 SWEEP = pytest.mark.slow
 
 BASE = ij.Iris.of_level("low")
+NUMBERS = tuple(n for n in LIMITS if n != "ipe_melanin")
+"""Fields of an iris whose pigment epithelium is black; test_transmittance.py has others."""
 BARE = {"oxyhemoglobin": 0.0, "deoxyhemoglobin": 0.0, "lutein": 0.0, "zeaxanthin": 0.0}
 EDGES = {
     "plain": {},
@@ -47,10 +49,10 @@ def edge(name):
     fields = {"abl_index": BASE.indices().abl, "stroma_index": BASE.indices().stroma, **EDGES[name]}
     # Both melanins shared out alike, each by a number of its own.
     fields.setdefault("pheomelanin_abl_fraction", fields.get("abl_fraction", BASE.abl_fraction))
-    return {n: float(fields.get(n, getattr(BASE, n))) for n in LIMITS}
+    return {n: float(fields.get(n, getattr(BASE, n))) for n in NUMBERS}
 
 
-VECTORS = {e: np.array([edge(e)[n] for n in LIMITS]) for e in EDGES}
+VECTORS = {e: np.array([edge(e)[n] for n in NUMBERS]) for e in EDGES}
 """Made once, in double precision."""
 
 
@@ -60,7 +62,7 @@ def as_vector(name):
 
 def reflectance_of(vector, solver, cosine=1.0):
     """Everything traced: the iris is built inside the program."""
-    iris = ij.Iris(**dict(zip(LIMITS, vector, strict=True)))
+    iris = ij.Iris(**dict(zip(NUMBERS, vector, strict=True)))
     return ij.reflectance(iris, GRID[::6], solver=solver, cos_incidence=cosine, throw=False)
 
 

@@ -11,7 +11,7 @@ import pytest
 
 import irisjax as ij
 from common import GRID, PROCESSES, exact, quick_jit
-from edges import BASE, EDGES, NO_SLOPE, OF_DEPTHS, SAME_MEDIA, SWEEP, as_vector, edge
+from edges import BASE, EDGES, NO_SLOPE, NUMBERS, OF_DEPTHS, SAME_MEDIA, SWEEP, as_vector, edge
 from irisjax.tissue.iris import LIMITS
 
 # Steps are chosen by field; where a field stands at an edge the difference is one-sided.
@@ -51,7 +51,7 @@ ORDERS = {e: ij.Iris(**edge(e)).order for e in EDGES}
 
 def replaced(iris, vector):
     """With other numbers, and the order of media that it has."""
-    return eqx.tree_at(lambda i: [getattr(i, n) for n in LIMITS], iris, list(vector))
+    return eqx.tree_at(lambda i: [getattr(i, n) for n in NUMBERS], iris, list(vector))
 
 
 CASES = pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def values(name, traced_order):
 
     def of(v):
         iris = (
-            ij.Iris(**dict(zip(LIMITS, v, strict=True))) if traced_order else replaced(TEMPLATE, v)
+            ij.Iris(**dict(zip(NUMBERS, v, strict=True))) if traced_order else replaced(TEMPLATE, v)
         )
         return ij.reflectance(iris, GRID[::6], solver=solver, throw=False).values
 
@@ -103,7 +103,7 @@ def forward_mode(name, traced_order, edges):
 
 def fields_of(edges):
     """Edges and fields, their places, and whether there is a kink."""
-    for (i, e), (j, field) in itertools.product(enumerate(edges), enumerate(LIMITS)):
+    for (i, e), (j, field) in itertools.product(enumerate(edges), enumerate(NUMBERS)):
         yield i, j, e, field, field in KINKED.get(e, ())
 
 
@@ -153,7 +153,7 @@ def test_gradients_in_single_precision_are_finite(name, float32):
     bad = [
         (e, f)
         for i, e in enumerate(names)
-        for j, f in enumerate(LIMITS)
+        for j, f in enumerate(NUMBERS)
         if not np.isfinite(np.asarray(g)[i, :, j]).all()
     ]
     assert not bad
