@@ -11,7 +11,6 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.custom_batching import custom_vmap
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
@@ -48,34 +47,8 @@ def whitened(
     root: Float[Array, "n n"], residual: Float[Array, " n"]
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     """Root⁻¹ residual, and the logarithms of the diagonal."""
-    white = jax.lax.platform_dependent(root, residual, cpu=_whitened, default=_library_whitened)
+    white = jax.lax.platform_dependent(root, residual, cpu=_forward, default=_library_forward)
     return white, jnp.log(jnp.diag(root))
-
-
-def leading_subspace(matrix: Float[Array, "n n"], count: int) -> Float[Array, "n count"]:
-    """Orthonormal vectors that span what a symmetric, positive semidefinite matrix stretches most.
-
-    Sixteen turns of orthogonal iteration, each turn's vectors made orthogonal twice.
-    """
-    size = matrix.shape[0]
-    tiny = jnp.finfo(matrix.dtype).tiny ** 0.5
-
-    def orthonormal(vectors):
-        rows = []
-        for k in range(count):
-            v = vectors[:, k]
-            for _ in range(2):
-                for row in rows:
-                    v = v - row * (row @ v)
-            rows.append(v / jnp.maximum(jnp.sqrt(v @ v), tiny))
-        return jnp.stack(rows, 1)
-
-    # Every vector has a component along every coordinate.
-    start = np.cos(np.outer(np.arange(size) + 0.5, np.arange(count)) * np.pi / size)
-    # Where the matrix has a lower rank, the vectors beyond it are arbitrary.
-    lifted = matrix + jnp.finfo(matrix.dtype).eps * jnp.eye(size, dtype=matrix.dtype)
-    begun = orthonormal(jnp.asarray(start, matrix.dtype))
-    return jax.lax.fori_loop(0, 16, lambda _, v: orthonormal(lifted @ v), begun)
 
 
 def _by_platform(a, b):
@@ -124,22 +97,7 @@ def _gauss_jordan(m: Float[Array, "n width many"]) -> Float[Array, "n rest many"
     return jax.lax.fori_loop(0, n, step, m)[:, n:]
 
 
-_library_whitened = partial(solve_triangular, lower=True)
-
-
-def _whitened(root, residual):
-    n = residual.shape[0]
-    padded = _padded(root)
-    right = jnp.zeros(padded.shape[0], residual.dtype).at[:n].set(residual)
-
-    def step(k, white):
-        rows = jax.lax.dynamic_slice_in_dim(padded, k * _BLOCK, _BLOCK)
-        corner = jax.lax.dynamic_slice_in_dim(rows, k * _BLOCK, _BLOCK, 1)
-        rest = jax.lax.dynamic_slice_in_dim(right, k * _BLOCK, _BLOCK) - rows @ white
-        return jax.lax.dynamic_update_slice_in_dim(white, _forward(corner, rest), k * _BLOCK, 0)
-
-    white = jax.lax.fori_loop(0, right.size // _BLOCK, step, jnp.zeros_like(right))
-    return white[:n]
+_library_forward = partial(solve_triangular, lower=True)
 
 
 def _cholesky(a):
@@ -165,7 +123,7 @@ def _padded(a):
 
 
 def _forward(root, b):
-    """Root⁻¹ b of a small root, row by row."""
+    """Root⁻¹ b, row by row."""
 
     def step(i, x):
         return x.at[i].set((b[i] - root[i] @ x) / root[i, i])

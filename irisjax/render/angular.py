@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import chebyshev_nodes
-from irisjax.numerics.linear import leading_subspace
 from irisjax.numerics.portions import pixelwise
 from irisjax.optics.conicoid import dot, joined, norm
 from irisjax.optics.fresnel import fresnel, refract
@@ -195,7 +194,7 @@ def mixed(light: Float[Array, "tints functions pixels"], angles: AngularFunction
     weighted = light * weights
     product = jnp.einsum("tkp,tlp->kl", weighted, weighted)
     product = product / jnp.maximum(jnp.trace(product), jnp.finfo(light.dtype).tiny)
-    most = leading_subspace(product, min(_MIXTURES, len(product)))
+    most = jnp.linalg.eigh(product)[1][:, -_MIXTURES:]
     return jnp.einsum("kr,tkp->trp", most, weighted), most / weights
 
 

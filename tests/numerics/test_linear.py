@@ -49,8 +49,8 @@ def test_roots_and_whitened_residuals_are_numpys(n):
         rooted = (linear.cholesky, linear._cholesky, jnp.linalg.cholesky)
         white = (
             lambda r, x: linear.whitened(r, x)[0],
-            linear._whitened,
-            linear._library_whitened,
+            linear._forward,
+            linear._library_forward,
         )
         return [jax.vmap(f)(a) for f in rooted], [jax.vmap(f)(root, residual) for f in white]
 
