@@ -78,6 +78,12 @@ DEFAULT_FREE = (
 OF_POWER_LAW = tuple(POWER_LAW_LIMITS)
 """Parameters that only an iris with a power law of scattering has."""
 
+# Parameters that an iris has under their own names.
+_OF_IRIS = (
+    *("abl_fraction", "hemoglobin", "saturation"),
+    *("stroma_thickness", "abl_thickness", "scattering_scale"),
+)
+
 DERIVED = {"eumelanin": "mg/ml", "pheomelanin": "mg/ml", "abl_melanin": "ug/mm2"}
 """Derived quantities and their units."""
 
@@ -92,34 +98,20 @@ def of_iris(iris: Iris) -> dict[str, Any]:
     # Without any melanin every share gives the same iris; LB06's is returned.
     none = melanin <= 0
     share = jnp.where(none, 0.2, iris.pheomelanin / jnp.where(none, 1.0, melanin))
-    return {
-        "melanin_load": iris.melanin_load,
-        "abl_fraction": iris.abl_fraction,
-        "pheomelanin_share": share,
-        "hemoglobin": iris.hemoglobin,
-        "saturation": iris.saturation,
-        "stroma_thickness": iris.stroma_thickness,
-        "abl_thickness": iris.abl_thickness,
-        "scattering_scale": iris.scattering_scale,
-        **({} if iris.power_law is None else iris.power_law.parameters()),
-        "gain": 1.0,
-        "noise": 1.0,
-    }
+    known = {name: getattr(iris, name) for name in ("melanin_load", *_OF_IRIS)}
+    known |= {"pheomelanin_share": share, "gain": 1.0, "noise": 1.0}
+    known |= {} if iris.power_law is None else iris.power_law.parameters()
+    return {name: known[name] for name in PARAMETERS if name in known}
 
 
 def iris_of(values: Mapping[str, Any], base: Iris) -> Iris:
     """Return the iris with these parameters, and all else (indices, carotenoids) from `base`."""
     melanins = derived(values)
+    names = _OF_IRIS if base.power_law is None else (*_OF_IRIS, *OF_POWER_LAW)
     return base.replace(
         eumelanin=melanins["eumelanin"],
         pheomelanin=melanins["pheomelanin"],
-        abl_fraction=values["abl_fraction"],
-        hemoglobin=values["hemoglobin"],
-        saturation=values["saturation"],
-        stroma_thickness=values["stroma_thickness"],
-        abl_thickness=values["abl_thickness"],
-        scattering_scale=values["scattering_scale"],
-        **({} if base.power_law is None else {n: values[n] for n in POWER_LAW_LIMITS}),
+        **{name: values[name] for name in names},
     )
 
 
