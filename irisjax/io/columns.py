@@ -1,7 +1,6 @@
 """Roles of a table's columns by their headers, and the choice of those that are a spectrum."""
 
 import re
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -73,7 +72,11 @@ class Selection(NamedTuple):
 
 
 def select(
-    table: Columns, wanted: str | None, column: str | None = None, sd: str | None = None
+    table: Columns,
+    wanted: str | None,
+    column: str | None = None,
+    sd: str | None = None,
+    among: list[int] | None = None,
 ) -> Selection:
     """Choose the columns of one spectrum.
 
@@ -87,26 +90,29 @@ def select(
         wanted: The role to take; by default the first one there is.
         column: Name of the column to take, or a part of it that no other has.
         sd: The same of its standard deviation.
+        among: The columns of one eye of many, see `eyes_of`, which are taken as they are.
 
     Raises:
         ValueError: Listing the columns with their roles where they leave a choice.
     """
-    roles = {j: _role_of(table.names[j]) for j in range(1, len(table.names))}
-    if column is not None:
+    roles = _roles_of(table)
+    if among is not None:
+        spectra = among
+    elif column is not None:
         spectra = _named(table, column, roles)
     else:
         spectra = _spectra(table, roles, wanted)
-    role = roles[spectra[0]]
-    if column is not None and not wanted and role not in _WITHOUT_ASKING:
+    role, chosen = roles[spectra[0]], among is not None or column is not None
+    if chosen and not wanted and role not in _WITHOUT_ASKING:
         raise ValueError(_refusal(table, spectra[0], role))
-    if sd is not None:
-        deviation: int | None = _named(table, sd, roles)[0]
-    else:
-        deviation = _deviation_of(spectra, table, roles)
-    used = [*spectra, *([] if deviation is None else [deviation])]
+    own = _deviations_of(spectra, table, roles) if sd is None else _named(table, sd, roles)[:1]
+    if len(own) > 1 and among is None:
+        raise ValueError(f"{_listed(table, roles)}: two standard deviations; choose with --sd NAME")
+    deviation = own[0] if len(own) == 1 else None
+    used = [*spectra, *own]
     left = [j for j in roles if j not in used]
     notes: tuple[str, ...] = ()
-    if left:
+    if left and among is None:
         notes = (f"of the columns {_quoted(table, used)} used, {_quoted(table, left)} left out",)
     role = role if role in QUANTITIES else ""
     return Selection(spectra, deviation, role, table.names[spectra[0]], notes)
@@ -117,31 +123,17 @@ def eyes_of(table: Columns) -> dict[str, list[int]]:
     to another column, and without statistics.
     """
     found: dict[str, list[int]] = {}
-    names = {j: name or f"column {j + 1}" for j, name in enumerate(table.names) if j}
-    roles = {j: _role_of(name) for j, name in names.items()}
-    spectra = {j for j in names if roles[j] not in (_SD, _STATISTIC)}
-    for j, name in names.items():
-        if j in spectra or (roles[j] == _SD and _owner(j, spectra, table) is None):
-            found.setdefault(name, []).append(j)
+    roles = _roles_of(table)
+    spectra = _values_among(roles)
+    for j, role in roles.items():
+        if j in spectra or (role == _SD and _owner(j, spectra, table) is None):
+            found.setdefault(_title(table, j), []).append(j)
     return found
-
-
-def select_eye(table: Columns, among: list[int], wanted: str | None) -> Selection:
-    """Choose the columns of an eye of many, its standard deviation among all columns."""
-    roles = {j: _role_of(table.names[j]) for j in range(1, len(table.names))}
-    role = roles[among[0]]
-    if not wanted and role not in _WITHOUT_ASKING:
-        raise ValueError(_refusal(table, among[0], role))
-    spectra = {j for j in roles if roles[j] not in (_SD, _STATISTIC)}
-    stated = [j for j in roles if roles[j] == _SD and _owner(j, spectra, table) in among]
-    deviation = stated[0] if len(stated) == 1 and len(among) == 1 else None
-    role = role if role in QUANTITIES else ""
-    return Selection(among, deviation, role, table.names[among[0]])
 
 
 def _spectra(table: Columns, roles: dict[int, str], wanted: str | None) -> list[int]:
     """Scans of the one spectrum in a table."""
-    others = {j: role for j, role in roles.items() if role not in (_SD, _STATISTIC)}
+    others = {j: roles[j] for j in _values_among(roles)}
     first = (wanted, "", _MEAN) if wanted else _WITHOUT_ASKING
     role = next((role for role in first if role in others.values()), None)
     if role is None and not wanted and others:
@@ -159,24 +151,22 @@ def _spectra(table: Columns, roles: dict[int, str], wanted: str | None) -> list[
     return spectra
 
 
-def _deviation_of(spectra: list[int], table: Columns, roles: dict[int, str]) -> int | None:
-    """The standard deviation that belongs to a spectrum."""
-    stated = [j for j, role in roles.items() if role == _SD]
-    if len(spectra) > 1 or not stated:
-        return None
-    everything = {j for j, role in roles.items() if role not in (_SD, _STATISTIC)}
-    own = [j for j in stated if _owner(j, everything, table) in spectra]
-    if len(own) > 1:
-        raise ValueError(f"{_listed(table, roles)}: two standard deviations; choose with --sd NAME")
-    return own[0] if own else None
+def _deviations_of(spectra: list[int], table: Columns, roles: dict[int, str]) -> list[int]:
+    """The standard deviations that belong to a spectrum; of several scans there is none."""
+    stated = [j for j, role in roles.items() if role == _SD and len(spectra) == 1]
+    return [j for j in stated if _owner(j, _values_among(roles), table) in spectra]
 
 
-def _owner(j: int, spectra: Iterable[int], table: Columns) -> int | None:
+def _values_among(roles: dict[int, str]) -> list[int]:
+    """Columns that hold measured values."""
+    return [j for j, role in roles.items() if role not in (_SD, _STATISTIC)]
+
+
+def _owner(j: int, spectra: list[int], table: Columns) -> int | None:
     """The spectrum to which a standard deviation belongs: that of the rest of its name, or else the
     only one, or else the one just before it.
     """
     rest = _plain(re.sub(_FORMS[_SD], " ", table.names[j], flags=re.I))
-    spectra = list(spectra)
     named = [k for k in spectra if rest and _plain(table.names[k]) == rest]
     if len(named) == 1:
         return named[0]
@@ -212,7 +202,7 @@ def _one_thing(table: Columns, columns: list[int]) -> bool:
 
 def _named(table: Columns, wanted: str, roles: dict[int, str]) -> list[int]:
     """The columns of this name, or of the only one that contains it."""
-    names = {j: table.names[j] or f"column {j + 1}" for j in roles}
+    names = {j: _title(table, j) for j in roles}
     for same in (lambda n: n == wanted, lambda n: wanted.lower() in n.lower()):
         found = [j for j, name in names.items() if same(name)]
         if len({names[j] for j in found}) == 1:
@@ -227,17 +217,26 @@ def _refusal(table: Columns, j: int, role: str) -> str:
 
 
 def _listed(table: Columns, roles: dict[int, str]) -> str:
-    each = (f"{table.names[j] or f'column {j + 1}'!r} ({roles[j] or 'no role'})" for j in roles)
+    each = (f"{_title(table, j)!r} ({roles[j] or 'no role'})" for j in roles)
     return f"columns {', '.join(each)}"
 
 
 def _quoted(table: Columns, columns: list[int]) -> str:
-    some = [repr(table.names[j] or f"column {j + 1}") for j in columns]
+    some = [repr(_title(table, j)) for j in columns]
     return ", ".join(some[:8] + ["..."] * (len(some) > 8))
+
+
+def _title(table: Columns, j: int) -> str:
+    return table.names[j] or f"column {j + 1}"
 
 
 def _plain(name: str) -> str:
     return re.sub(r"[\W_]+", " ", re.sub(r"[\[(].*?[\])]", "", name)).strip().lower()
+
+
+def _roles_of(table: Columns) -> dict[int, str]:
+    """Roles of all columns but the wavelength's."""
+    return {j: _role_of(name) for j, name in enumerate(table.names) if j}
 
 
 def _role_of(header: str) -> str:

@@ -12,15 +12,7 @@ import scipy.ndimage
 from jaxtyping import Float
 
 from irisjax.infer.observation import RADIANCE, REFLECTANCE, mean_of_scans
-from irisjax.io.columns import (
-    ABSORBANCE,
-    KUBELKA_MUNK,
-    QUANTITIES,
-    Selection,
-    eyes_of,
-    select,
-    select_eye,
-)
+from irisjax.io.columns import ABSORBANCE, KUBELKA_MUNK, QUANTITIES, Selection, eyes_of, select
 from irisjax.io.formats import BOXCAR, UNITS, read_spectral_table
 from irisjax.io.tables import naming
 from irisjax.io.text import Columns
@@ -124,7 +116,7 @@ def read_measured(
     with naming(path):
         _check(how)
         table = read_spectral_table(path)
-        return _spectrum(table, how, select(table, how.quantity, how.column, how.sd))
+        return _spectrum(table, how, select(table, quantity, column, sd))
 
 
 def read_eyes(path: str | Path, how: ReadOptions | None = None) -> dict[str, Measured | ValueError]:
@@ -148,7 +140,7 @@ def read_eyes(path: str | Path, how: ReadOptions | None = None) -> dict[str, Mea
         table = read_spectral_table(path)
     for name, columns in eyes_of(table).items():
         try:
-            found[name] = _spectrum(table, how, select_eye(table, columns, how.quantity))
+            found[name] = _spectrum(table, how, select(table, how.quantity, among=columns))
         except ValueError as error:
             found[name] = error
     return found
