@@ -41,5 +41,5 @@ def float_field(default: float) -> Any:
 
 
 def optional_field(default: float | None = None) -> Any:
-    """A field with a number, `as_float_or_none`."""
+    """A field with a number or an array, `as_float_or_none`."""
     return eqx.field(default=default, converter=as_float_or_none)

@@ -2,7 +2,7 @@
 wavelength.
 """
 
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,7 +10,7 @@ import numpy as np
 from jax.scipy.special import gammaln
 from jaxtyping import Array, Float
 
-from irisjax._types import Scalar, as_float_or_none
+from irisjax._types import Scalar, optional_field
 from irisjax.infer.observation import Observation
 from irisjax.numerics.linear import cholesky, whitened
 
@@ -18,10 +18,6 @@ _Values: TypeAlias = Float[Array, " data"]
 
 _Factor: TypeAlias = float | Scalar
 _LOG_2PI = float(np.log(2 * np.pi))
-
-
-def _setting(default: float | None) -> Any:
-    return eqx.field(converter=as_float_or_none, default=default)
 
 
 class Noise(eqx.Module):
@@ -35,11 +31,11 @@ class Noise(eqx.Module):
             harmless; `None` for the normal. Not together with `discrepancy`.
     """
 
-    relative: Scalar = _setting(0.02)
-    absolute: Scalar = _setting(2e-4)
-    discrepancy: Scalar | None = _setting(None)
-    length: Scalar | None = _setting(None)
-    degrees_of_freedom: Scalar | None = _setting(None)
+    relative: Scalar = optional_field(0.02)
+    absolute: Scalar = optional_field(2e-4)
+    discrepancy: Scalar | None = optional_field()
+    length: Scalar | None = optional_field()
+    degrees_of_freedom: Scalar | None = optional_field()
 
     def __check_init__(self) -> None:
         if self.discrepancy is not None and self.degrees_of_freedom is not None:

@@ -7,7 +7,6 @@ import csv
 import errno
 import io
 import os
-import re
 import shutil
 import tempfile
 import threading
@@ -18,9 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from irisjax._interrupt import unfinished
-from irisjax.io.text import read_text
-
-_REMARK = re.compile(r"\s*\[[^\[\]]*\]$")
+from irisjax.io.text import HEADER, read_text
 
 
 class Table(NamedTuple):
@@ -49,13 +46,11 @@ def read_header(path: str | Path) -> dict[str, str]:
     """Read the header of a CSV file, without remarks; a `ValueError` names file and line."""
     header: dict[str, str] = {}
     for number, line in enumerate(read_text(path).splitlines(), 1):
-        key, colon, value = line[1:].partition(":")
-        key = key.strip()
-        if not (line.startswith("#") and colon):
-            continue
-        if key in header:
-            raise ValueError(f"{path}, line {number}: {key} appears twice in the header")
-        header[key] = _REMARK.sub("", value.strip())
+        if found := HEADER.match(line):
+            key, value = found.groups()
+            if key in header:
+                raise ValueError(f"{path}, line {number}: {key} appears twice in the header")
+            header[key] = value
     return header
 
 

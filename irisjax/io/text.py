@@ -20,7 +20,11 @@ _LAYOUTS = (
 # Ocean Insight: what stands between these lines is the spectrum.
 _BEGIN, _END = re.compile(r"^>+\s*Begin\b", re.I), re.compile(r"^>+\s*End\b", re.I)
 _WAVELENGTH = re.compile(r"^(?P<of>.*?)\s*[\[(]?(?P<nm>\d{3,4}(?:\.\d+)?)\s*(?:nm)?[\])]*$", re.I)
-_HEADER = re.compile(r"^#\s*([^:\n]+?)\s*:[ \t]*(.*?)(?:\s*\[[^\[\]\n]*\])?\s*$", re.M)
+_BLANKS = r"[^\S\n]*"
+HEADER = re.compile(
+    rf"^#{_BLANKS}([^:\n]+?){_BLANKS}:{_BLANKS}(.*?)(?:{_BLANKS}\[[^\[\]\n]*\])?{_BLANKS}$", re.M
+)
+"""Lines `# key: value [remark]`."""
 _FEWEST = 5  # wavelengths in a line that names columns by them
 _LABEL = re.compile(r"name|sample|title|label|\bid\b|eye|probe|muestra|échantillon", re.I)
 # Preambles that state the units of two unnamed columns, as JASCO and spectral libraries do.
@@ -79,7 +83,7 @@ def read_columns(text: str) -> Columns:
 
     Lines below the table that hold no row of numbers are left out and counted in `notes`.
     """
-    header = dict(_HEADER.findall(text))
+    header = dict(HEADER.findall(text))
     every = [(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     every = every[next((i + 1 for i, (_, line) in enumerate(every) if _BEGIN.match(line)), 0) :]
     every = every[: next((i for i, (_, line) in enumerate(every) if _END.match(line)), None)]
@@ -101,27 +105,20 @@ def _rows_of_numbers(lines: _Lines) -> _Rows:
         raise ValueError(_without_numbers(lines))
     # The table is the rows of the commonest width; numbers of a preamble have another.
     width = max(found.values(), key=list(found.values()).count)
-    first = next(i for i, n in found.items() if n == width)
-    last = max(found)
-    values, where = [], []
-    for number, line in lines[first : last + 1]:
+    first, last = next(i for i, n in found.items() if n == width), max(found)
+    values, where, below = [], [], lines[last + 1 :]
+    for number, line in lines[first:]:
         cells = _cells(line, separator)
+        if number > lines[last][0] and _number(cells[0], comma) is None:
+            continue  # below the table, a row that begins with a number is a faulty one
         row = _numbers(cells, comma)
+        if len(cells) != width and (row is not None or number > lines[last][0]):
+            raise ValueError(f"line {number}: {len(cells)} values, {width} in the lines before")
         if row is None:
             wrong = next((c for c in cells if _number(c, comma) is None), cells[0])
             raise ValueError(f"line {number}: {wrong!r} is not a number")
-        if len(row) != width:
-            raise ValueError(f"line {number}: {len(row)} values, {width} in the lines before")
         values.append(row)
         where.append(f"line {number}")
-    below = lines[last + 1 :]
-    for number, line in below:  # a row that begins with a number is a faulty one
-        cells = _cells(line, separator)
-        if _number(cells[0], comma) is not None:
-            if len(cells) != width:
-                raise ValueError(f"line {number}: {len(cells)} values, {width} in the lines before")
-            wrong = next((c for c in cells if _number(c, comma) is None), cells[0])
-            raise ValueError(f"line {number}: {wrong!r} is not a number")
     names = _names([_cells(line, separator) for _, line in lines[:first]], width)
     table = np.array(values)
     kept = [j for j in range(width) if names[j] or np.isfinite(table[:, j]).any()]

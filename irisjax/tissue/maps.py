@@ -14,7 +14,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from irisjax._types import Scalar, as_float_or_none
+from irisjax._types import Scalar, optional_field
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.pigments import Extinction
@@ -25,10 +25,6 @@ FRECKLE = 12.0
 hand-set maps.
 """
 _RANGES = {"relief": (-1, 1), "freckles": (0, 1)}  # of the other maps: not negative
-
-
-def _texture() -> Any:
-    return eqx.field(default=None, converter=as_float_or_none)
 
 
 class IrisMaps(eqx.Module):
@@ -49,12 +45,12 @@ class IrisMaps(eqx.Module):
         ValueError: For maps of different shapes and for values that no iris can have.
     """
 
-    relief: Texture | None = _texture()
-    abl_depth: Texture | None = _texture()
-    stroma_depth: Texture | None = _texture()
-    freckles: Texture | None = _texture()
-    eumelanin: Texture | None = _texture()
-    pheomelanin: Texture | None = _texture()
+    relief: Texture | None = optional_field()
+    abl_depth: Texture | None = optional_field()
+    stroma_depth: Texture | None = optional_field()
+    freckles: Texture | None = optional_field()
+    eumelanin: Texture | None = optional_field()
+    pheomelanin: Texture | None = optional_field()
 
     def __post_init__(self) -> None:
         shapes = {n: np.shape(m) for n, m in self.present().items()}
