@@ -73,42 +73,20 @@ def _lamps(scene: Scene) -> Iterator[str]:
         colour = np.ones(3) if lights.tint is None else np.asarray(lights.tint[i], np.float64)
         colour = colour * float(lights.irradiance[i])
         distance = math.inf if lights.distance is None else float(lights.distance[i])
+        values: dict[str, str | None] = {}
         if scene.eye.cornea is not None:
             radius, away = max(float(lights.radius[i]), WIDEST), min(distance, _FAR)
             upright = abs(towards[1]) <= (1 - 1e-9) * np.linalg.norm(towards)
-            yield _DISC.format(
-                size=f"{away * math.tan(radius):.9g}",
-                origin=", ".join(_turned(away * towards)),
-                up="0, 1, 0" if upright else "1, 0, 0",
-                radiance=_numbers(colour / (math.pi * math.sin(radius) ** 2)),
-            )
+            place, colour = away * towards, colour / (math.pi * math.sin(radius) ** 2)
+            size = f"{away * math.tan(radius):.9g}"
+            values = {"disc": "", "size": size, "up": "0, 1, 0" if upright else "1, 0, 0"}
         elif math.isfinite(distance):
-            place = _turned(distance * towards)
-            yield _POINT.format(*place, intensity=_numbers(colour * distance**2))
+            values["point"], place, colour = "", distance * towards, colour * distance**2
         else:
-            yield _DISTANT.format(*_turned(-towards), irradiance=_numbers(colour))
-
-
-_DISC = """\
-  <shape type="disk">
-    <transform name="to_world">
-      <scale x="{size}" y="{size}" />
-      <lookat origin="{origin}" target="0, 0, 0" up="{up}" />
-    </transform>
-    <emitter type="area">
-      <rgb name="radiance" value="{radiance}" />
-    </emitter>
-  </shape>"""
-_POINT = """\
-  <emitter type="point">
-    <point name="position" x="{0}" y="{1}" z="{2}" />
-    <rgb name="intensity" value="{intensity}" />
-  </emitter>"""
-_DISTANT = """\
-  <emitter type="directional">
-    <vector name="direction" x="{0}" y="{1}" z="{2}" />
-    <rgb name="irradiance" value="{irradiance}" />
-  </emitter>"""
+            values["distant"], place = "", -towards
+        x, y, z = _turned(place)
+        values |= {"x": x, "y": y, "z": z, "colour": _numbers(colour)}
+        yield filled("lamp.xml", values).removesuffix("\n")
 
 
 def _turned(point: Iterable[float]) -> tuple[str, str, str]:
