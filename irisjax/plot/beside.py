@@ -4,12 +4,12 @@ Importing matplotlib and drawing hold Python's lock, so threads would gain nothi
 """
 
 import contextlib
+import multiprocessing
 import os
-import pickle
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
@@ -34,21 +34,26 @@ def beside() -> Iterator[Callable[..., Later]]:
     if (os.cpu_count() or 1) < 2:
         yield here
         return
+    spawned = multiprocessing.get_context("spawn")
+    ours, theirs = spawned.Pipe()
+    process = spawned.Process(target=_draw_from, args=(theirs,), daemon=True)
     try:
-        process = subprocess.Popen(
-            [sys.executable, "-m", __name__],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,  # Ctrl-C is for this one, which closes the other's input
-        )
+        process.start()
     except OSError:
         yield here
         return
+    theirs.close()
     waiting = ThreadPoolExecutor(1)
 
+    def exchange(*figure: Any) -> bytes:
+        """A picture, or nothing if the other process could not draw it."""
+        with contextlib.suppress(EOFError, OSError):
+            ours.send(figure)
+            return ours.recv()
+        return b""
+
     def draw(name: str, *args: Any) -> Later:
-        picture = waiting.submit(_exchange, process, name, args)
+        picture = waiting.submit(exchange, name, *args)
         return lambda: picture.result() or here(name, *args)()
 
     try:
@@ -56,40 +61,22 @@ def beside() -> Iterator[Callable[..., Later]]:
     finally:
         process.kill()
         waiting.shutdown(cancel_futures=True)
-        process.communicate()
 
 
-def _exchange(process: subprocess.Popen[bytes], name: str, args: Any) -> bytes:
-    """A picture, or nothing if the other process could not draw it."""
-    assert process.stdin is not None
-    assert process.stdout is not None
-    try:
-        pickle.dump((name, args), process.stdin, protocol=5)
-        process.stdin.flush()
-        return pickle.load(process.stdout)
-    except (EOFError, OSError, pickle.UnpicklingError):
-        return b""
-
-
-def _draw_from_input() -> None:
-    """Draw the figures that arrive on standard input until it ends."""
+def _draw_from(figures: Connection) -> None:
+    """Draw the figures that arrive until there are no more; runs in the other process."""
+    if hasattr(os, "setsid"):
+        os.setsid()  # Ctrl-C is for the caller, whose end closes the connection
+    for stream in (sys.stdout, sys.stderr):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
     # corner would load ArviZ where it is installed, for two seconds, and not need it for arrays.
     sys.modules.setdefault("arviz", None)  # pyright: ignore[reportArgumentType]
     # The first figure would wait for imports, fonts and what else is made at first use.
     here("corner_figure", {"": np.arange(9.0)})()
-    pictures = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
-    while True:
-        try:
-            name, args = pickle.load(sys.stdin.buffer)
-        except EOFError:
-            return
-        try:
-            drawn = here(name, *args)()
-        except Exception:  # the caller draws it again and says what is wrong
-            drawn = b""
-        pickle.dump(drawn, pictures, protocol=5)
-        pictures.flush()
-
-
-if __name__ == "__main__":
-    _draw_from_input()
+    with contextlib.suppress(EOFError):
+        while True:
+            name, *args = figures.recv()
+            try:
+                figures.send(here(name, *args)())
+            except Exception:  # the caller draws it again and says what is wrong
+                figures.send(b"")
