@@ -18,7 +18,7 @@ from irisjax.infer.parameters import DEFAULT_FREE, OF_POWER_LAW, PARAMETERS, kin
 from irisjax.infer.priors import AbstractPrior, check_prior
 from irisjax.measure.observe import observed, prepared
 from irisjax.numerics.checks import check_known, check_range
-from irisjax.numerics.portions import in_pieces
+from irisjax.numerics.portions import by_rows, in_pieces
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.scattering import PowerLaw
 from irisjax.transport import defaults
@@ -349,21 +349,12 @@ def in_rows(
     function: Callable[[list[Array], Form, Any], Any], problem: Problem, rows: int = _ROWS
 ) -> Callable[[Array | np.ndarray], Any]:
     """Return a jitted `function` of a problem's arrays, its `Form` and vectors (rows, free) as one
-    of any number of vectors: a program for each number would take longer to compile than all to
-    run. The problem is taken apart once and not at every call.
+    of any number of vectors, see `by_rows`. The problem is taken apart once and not at every call.
     """
     problem = problem.unnamed()
     arrays, form = [x for x in jax.tree.leaves(problem) if eqx.is_array(x)], Form(problem)
 
-    def each(z: Array | np.ndarray) -> Any:
-        z = np.asarray(z)
-        count = len(z)
-        # Copies of the last: whatever is finite there has finite copies.
-        z = np.pad(z, [(0, -count % rows), (0, 0)], mode="edge")
-        done = [function(arrays, form, z[i : i + rows]) for i in range(0, len(z), rows)]
-        return jax.tree.map(lambda *x: np.concatenate([np.asarray(p) for p in x])[:count], *done)
-
-    return each
+    return lambda z: by_rows(lambda some: function(arrays, form, some), np.asarray(z), rows)
 
 
 def reported(
@@ -379,8 +370,6 @@ def predicted(problem: Problem, z: Float[np.ndarray, "n free"], key: PRNGKey) ->
     """Return noisy measurements (n, data), models without noise, stated standard deviations, and
     log likelihoods of the data, of each observation; and log prior densities (n, free).
     """
-    count, rows = len(z), min(len(z), _PREDICTED)
-    z = np.pad(z, [(0, -count % rows), (0, 0)], mode="edge")
     # Drawn on the host: a random generator takes longer to compile than the model.
     random, nu = np.random.default_rng(np.ravel(jax.random.key_data(key))), None
     if problem.noise.degrees_of_freedom is not None:
@@ -389,11 +378,8 @@ def predicted(problem: Problem, z: Float[np.ndarray, "n free"], key: PRNGKey) ->
     draws = [
         (random.standard_normal(n), None if nu is None else random.chisquare(nu, n)) for n in shapes
     ]
-    problem, done = problem.unnamed(), []
-    for i in range(0, len(z), rows):
-        part = jax.tree.map(lambda x, i=i: jnp.asarray(x[i : i + rows], float), (z, draws))
-        done.append(jax.tree.map(np.asarray, _predicted(problem, *part)))
-    return jax.tree.map(lambda *x: np.concatenate(x)[:count], *done)
+    nameless, rows = problem.unnamed(), min(len(z), _PREDICTED)
+    return by_rows(lambda some: _predicted(nameless, *some), (z, draws), rows)
 
 
 @eqx.filter_jit

@@ -9,7 +9,7 @@ import functools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from typing import Generic, TypeVar, TypeVarTuple, Unpack
+from typing import Any, Generic, TypeVar, TypeVarTuple, Unpack
 
 import equinox as eqx
 import jax
@@ -110,6 +110,23 @@ def in_pieces(function: Callable[[P], T], arguments: P, elements: int) -> T:
     chosen = jax.tree.map(lambda x: x[np.minimum(places, count - 1)], arguments)
     done = jax.lax.map(each, chosen)
     return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:count], done)
+
+
+def by_rows(
+    function: Callable[[Any], Any], arguments: Any, rows: int, each: Callable[..., Any] = map
+) -> Any:
+    """Apply a compiled function of `rows` rows of each array to any number of them; a program for
+    each number would take longer to compile than all to run. `each` is a `map`, of threads perhaps.
+    """
+    count = jax.tree.leaves(arguments)[0].shape[0]
+
+    def part(first: int) -> Any:
+        # Copies of the last row: whatever is finite there has finite copies.
+        places = np.minimum(np.arange(first, first + rows), count - 1)
+        return jax.tree.map(np.asarray, function(jax.tree.map(lambda x: x[places], arguments)))
+
+    done = each(part, range(0, count, rows))
+    return jax.tree.map(lambda *x: np.concatenate(x)[:count], *done)
 
 
 def _threads(pixels: object, others: object) -> int:

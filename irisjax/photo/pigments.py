@@ -15,6 +15,7 @@ around the pupil, and light may fall off as that of no lamp of the model does.
 
 import math
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -31,6 +32,7 @@ from irisjax.infer.importance import Start
 from irisjax.infer.least_squares import least_squares, levenberg_marquardt
 from irisjax.infer.posterior import Chains
 from irisjax.infer.priors import AbstractPrior, LogNormal
+from irisjax.numerics.portions import by_rows
 from irisjax.photo.windows import ANGLES, RINGS, Windows
 from irisjax.tissue.iris import Iris
 
@@ -269,15 +271,13 @@ def sample_pigments(
     with ThreadPoolExecutor(2) as pool:  # one program is too small for two cores
 
         def density(x: np.ndarray) -> np.ndarray:
-            rows = _padded(x, _ROWS).reshape(-1, _ROWS, x.shape[1])
-            found = pool.map(lambda row: np.asarray(_density(held, row)), rows)
-            return np.concatenate(list(found))[: len(x)]
+            return by_rows(partial(_density, held), np.asarray(x, np.float64), _ROWS, pool.map)
 
         target: Any = SimpleNamespace(names=FREE_NAMES, log_density=density)
         start = Start(middle, covariance)
         chains = posterior.sample(target, start, walkers=WALKERS, max_steps=max_steps, key=key)
     x = chains.flat
-    drawn = {k: np.asarray(v)[: len(x)] for k, v in _drawn(jnp.asarray(_padded(x, 4096))).items()}
+    drawn = by_rows(_drawn, np.asarray(x, np.float64), 4096)
     z = drawn.pop("z")
     estimates = {}
     for i, name in enumerate(FREE_NAMES):
@@ -501,11 +501,6 @@ def _in_rings(values, present):
     number = count.sum(1)[:, 0]
     means = jnp.where(count, by_ring, 0).sum(1) / jnp.maximum(number, 1)[:, None]
     return number, means, jnp.where(count, by_ring - means[:, None], 0)
-
-
-def _padded(x: np.ndarray, rows: int) -> np.ndarray:
-    """The last row repeated up to a multiple of `rows`: every shape compiles a program."""
-    return np.pad(np.asarray(x, np.float64), ((0, -len(x) % rows), (0, 0)), mode="edge")
 
 
 @eqx.filter_jit

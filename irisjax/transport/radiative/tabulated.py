@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool, Float
 
 from irisjax._types import PRNGKey
 from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_series
+from irisjax.numerics.portions import by_rows
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.numerics.sharding import laid_out
 from irisjax.numerics.tucker import Tucker, coefficients, grid_points
@@ -298,12 +299,7 @@ def _in_double(function, points: np.ndarray, outside: np.ndarray, indices: Refra
     """
     with jax.enable_x64(True):
         wide = jax.tree.map(lambda n: jnp.asarray(np.asarray(n, np.float64)), indices)
-        padded = np.pad(points, ((0, -len(points) % _CHUNK), (0, 0)), mode="edge")
-        parts = [
-            jax.tree.map(np.asarray, function(jnp.asarray(part), jnp.asarray(outside), wide))
-            for part in np.split(padded, len(padded) // _CHUNK)
-        ]
-    return jax.tree.map(lambda *x: np.concatenate(x)[: len(points)], *parts)
+        return by_rows(lambda some: function(some, outside, wide), points, _CHUNK)
 
 
 def _layers_at(points, indices: RefractiveIndices) -> Layers:
