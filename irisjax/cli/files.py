@@ -17,7 +17,7 @@ from irisjax.cli.light import LightOptions
 from irisjax.cli.model import RANGES, IrisOptions, ProcessOptions
 from irisjax.io.images import encode_png
 from irisjax.tissue.iris import BLOOD, LIMITS
-from irisjax.transport.process import AbstractProcess, Ilit, is_polarised
+from irisjax.transport.process import AbstractProcess, Ilit
 from irisjax.transport.solver import AbstractSolver
 
 FOR_PEOPLE = (
@@ -206,7 +206,7 @@ def head(
 
 def _approximation(process: AbstractProcess, left_out: str | None) -> str:
     """Return the caveats of the process that made the numbers."""
-    if is_polarised(process):
+    if process.polarised:
         return (
             "Stokes vectors, Rayleigh's phase matrix: this model depolarises less than photographs "
             "of irides through crossed polarisers show"

@@ -170,6 +170,6 @@ def solver_of(
     """The solver that the options name, for such a process and iris; `exits`: for a BRDF."""
     if options.solver == "exact":
         return exact_solver(process, iris, exits=exits)
-    if processes.is_polarised(process):
+    if process.polarised:
         return PolarisedMonteCarlo(options.photons)
     return MonteCarlo(options.photons, process=process)

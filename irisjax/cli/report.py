@@ -160,8 +160,7 @@ def _write(
     problem, chains = found.problem, found.chains
     seen = problem.observations
     simulated, models = predictive(problem, chains, key=jax.random.fold_in(key, 3))
-    by = sentences.process_name(problem.process)
-    shapes = [(f"{name}, by {by}", *rest) for name, *rest in map(shape_of, seen)]
+    shapes = [(f"{name}, by {problem.process.name}", *rest) for name, *rest in map(shape_of, seen)]
     # They are drawn while the rest is computed.
     pictures = {"fit.png": draw("fit_figure", shapes, list(simulated), list(models))}
     shown = [n for n in problem.free if kind(n) not in ("gain", "noise")]
@@ -211,6 +210,6 @@ def _print(found: Analysis, first: list[str], lines: list[str]) -> None:
         f"{chains.steps} steps, acceptance {chains.acceptance:.2f}, autocorrelation time "
         f"{chains.tau.max():.0f} steps"
     )
-    title = f"{of} by {sentences.process_name(found.problem.process)}"
+    title = f"{of} by {found.problem.process.name}"
     dispensable = ("68 %", "contraction", "unit", "ESS", "R-hat")
     print_table(first, columns, [run, *lines], title=title, dispensable=dispensable)

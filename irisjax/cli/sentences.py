@@ -10,7 +10,6 @@ from irisjax.infer.identifiability import Direction, Information
 from irisjax.infer.model_comparison import PREFERRED, Assessment, Interval, Moved, ProcessComparison
 from irisjax.infer.parameters import kind, unit_of
 from irisjax.infer.problem import Problem
-from irisjax.transport.process import AbstractProcess, Ilit
 
 _WORDS = {
     "melanin_load": "load", "abl_fraction": "fraction", "hemoglobin": "haemoglobin",
@@ -32,7 +31,7 @@ def process_lines(found: ProcessComparison) -> list[str]:
         parts = ", ".join(_shift(n, found.moved[n]) for n in names)
         warning = "WARNING: the pigments depend on the model by more than their intervals: "
         differ = any(moved.differs for moved in found.moved.values())
-        lines.append(f"{warning if differ else ''}by {process_name(found.process)} {parts}")
+        lines.append(f"{warning if differ else ''}by {found.process.name} {parts}")
     if found.preferred:
         lines.append(f"WARNING: {preference(found)}")
     return lines
@@ -41,14 +40,9 @@ def process_lines(found: ProcessComparison) -> list[str]:
 def preference(found: ProcessComparison) -> str:
     """State the odds by which the data prefer the other process."""
     return (
-        f"the data prefer {process_name(found.process)}, by odds of {odds(found.log_odds)} to 1 "
+        f"the data prefer {found.process.name}, by odds of {odds(found.log_odds)} to 1 "
         f"(least squares, Laplace's approximation)"
     )
-
-
-def process_name(process: AbstractProcess) -> str:
-    """Name of a process in a sentence."""
-    return "ILIT" if isinstance(process, Ilit) else "radiative transfer"
 
 
 def information_lines(found: Information) -> list[str]:

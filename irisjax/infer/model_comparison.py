@@ -135,7 +135,7 @@ def candidates_of(problem: Problem) -> dict[str, Problem]:
     stated = problem.base.power_law is not None
     own = problem.under(None) if stated else problem
     problems = own, own.by(other_of(own.process))
-    both = {"ILIT" if isinstance(p.process, Ilit) else "radiative transfer": p for p in problems}
+    both = {p.process.name: p for p in problems}
     by_law = "general radiative transfer"
     if stated:
         return {by_law: problem, **both}

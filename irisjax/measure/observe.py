@@ -12,7 +12,6 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.transport.ilit.exact import IlitExact
 from irisjax.transport.montecarlo import Counts, MonteCarlo
-from irisjax.transport.process import is_polarised
 from irisjax.transport.solution import raise_failure
 from irisjax.transport.solver import AbstractSolver
 
@@ -73,7 +72,7 @@ def _traced(iris, instrument, solver, key):
 
 def prepared(iris: Iris, instrument: AbstractInstrument, solver: AbstractSolver) -> AbstractSolver:
     """Return the solver prepared for the problem, while its values are known."""
-    if instrument.polarised and not is_polarised(solver.process):
+    if instrument.polarised and not solver.process.polarised:
         to_do = "give solver=RadiativeExact(process=POLARISED)"
         raise ValueError(f"{type(instrument).__name__} sees polarisation; {to_do}")
     if type(solver).prepare is AbstractSolver.prepare:

@@ -25,7 +25,6 @@ from irisjax.transport.process import (
     AbstractProcess,
     Ilit,
     RadiativeTransfer,
-    is_polarised,
 )
 from irisjax.transport.radiative.adding import AddingDoubling
 from irisjax.transport.radiative.exact import RadiativeExact
@@ -60,7 +59,7 @@ def quickest(iris: Iris, aqueous_index: Any, process: AbstractProcess) -> Abstra
         return IlitExact(24, process=process) if deep else table_for(indices, process)
     if iris.power_law is not None:
         return AddingDoubling(16, 10)
-    if is_polarised(process):
+    if process.polarised:
         return RadiativeExact(16, 8, process=POLARISED)
     if deep:
         return RadiativeExact(16, 8)

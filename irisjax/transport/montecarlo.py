@@ -27,7 +27,6 @@ from irisjax.transport.process import (
     AbstractProcess,
     Ilit,
     RadiativeTransfer,
-    is_polarised,
 )
 from irisjax.transport.radiative.analog import radiative_event
 from irisjax.transport.solution import Solution, binomial_error, counted, outcome
@@ -75,7 +74,7 @@ class MonteCarlo(AbstractSolver):
         if not isinstance(self.process, (Ilit, RadiativeTransfer)):
             said = f"MonteCarlo has no events of {self.process!r}"
             raise ValueError(f"{said}; known: Ilit, RadiativeTransfer")
-        if is_polarised(self.process):
+        if self.process.polarised:
             raise ValueError(
                 "MonteCarlo does not treat polarised light; use RadiativeExact, or "
                 "PolarisedMonteCarlo to sample"

@@ -6,7 +6,7 @@ Solvers integrate or sample them. Directions are cosines μ to the layer normal,
 
 import abc
 import dataclasses
-from typing import Any, Literal, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -19,7 +19,15 @@ Rescatter = Literal["to-interface", "retest"]
 
 
 class AbstractProcess(eqx.Module):
-    """The rules that light follows; all fields are static and compiled into programs."""
+    """The rules that light follows; all fields are static and compiled into programs.
+
+    Attributes:
+        name: Name of the process in a sentence.
+        polarised: Whether light is followed by its Stokes vector.
+    """
+
+    name: eqx.AbstractClassVar[str]
+    polarised: eqx.AbstractVar[bool]
 
     @property
     def phase_function(self) -> AbstractPhase:
@@ -46,6 +54,9 @@ class Ilit(AbstractProcess):
         perturb_on_reflection: Whether a ray reflected inside a layer gets a new direction, as on
             entry.
     """
+
+    name: ClassVar[str] = "ILIT"
+    polarised: ClassVar[bool] = False
 
     phase: Phase = eqx.field(static=True, default="lb06")
     rescatter: Rescatter = eqx.field(static=True, default="to-interface")
@@ -77,6 +88,8 @@ class RadiativeTransfer(AbstractProcess):
             Fresnel's Mueller matrices, or by its intensity alone (scalar theory).
     """
 
+    name: ClassVar[str] = "radiative transfer"
+
     polarised: bool = eqx.field(static=True, default=False)
 
     @property
@@ -105,11 +118,6 @@ PROCESSES: dict[str, AbstractProcess] = {
     "depth-resolved": DEPTH_RESOLVED,
 }
 """Processes by their names on the command line."""
-
-
-def is_polarised(process: AbstractProcess) -> bool:
-    """Check whether a process follows light by its Stokes vector."""
-    return isinstance(process, RadiativeTransfer) and process.polarised
 
 
 def option_of(process: AbstractProcess) -> str:

@@ -168,7 +168,7 @@ def test_what_is_not_offered_is_said():
         ij.brdf(iris, GRID, cos_exit=0.5, solver=deep, key=key)
 
     class Unknown(AbstractProcess):
-        transport = "of its own"
+        name, transport, polarised = "none", "of its own", False
 
     with pytest.raises(ValueError, match=r"no events of .*known: Ilit, RadiativeTransfer"):
         ij.MonteCarlo(10, process=Unknown())
