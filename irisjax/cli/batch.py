@@ -22,6 +22,7 @@ from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.model_comparison import compare_processes, other_of
 from irisjax.infer.observation import with_values
 from irisjax.infer.problem import Problem
+from irisjax.io.fits import COVARIANCES, covariance_rows, covariances_beside, read_covariances
 from irisjax.io.measured import Measured
 from irisjax.transport.process import option_of
 
@@ -48,7 +49,8 @@ def many(
     results: FitResults,
 ) -> int:
     """Fit all eyes of a folder or table, by these options of `irisjax.problem`, into `fits.csv` of
-    the folder for results, or print the table. The exit status: 3 where an eye failed.
+    the folder for results, beside covariances, or print the table. The exit status: 3 where an eye
+    failed.
     """
     from tqdm import tqdm
 
@@ -59,12 +61,15 @@ def many(
         raise ValueError("--posteriors needs -o FOLDER for what it samples")
     target = None if output is None else output / "fits.csv"
     rows: dict[str, _Row] = {}
+    covariances: dict[str, list[_Row]] = {}
     if target is not None:
         target.parent.mkdir(parents=True, exist_ok=True)
         if target.exists() and not (results.resume or results.overwrite):
             raise ValueError(f"{target}: exists; --resume continues it, --overwrite starts again")
         if target.exists() and results.resume:
+            covariances = read_covariances(covariances_beside(target))
             rows = _read(target, results.posteriors)
+            rows = {name: row for name, row in rows.items() if name in covariances}
     seen = measured.seen
     left = {name: eye for name, eye in eyes.items() if name not in rows}
     how: dict[str, Any] = {"total": len(eyes), "initial": len(rows), "unit": "eye"}
@@ -72,15 +77,19 @@ def many(
         for chunk in _chunks(left):
             headers = [m.header for m in chunk.values() if isinstance(m, Measured)]
             options = {"noise": measured.noise, **model.stated(headers)}
-            found = _fitted(chunk, seen, options, sampler.key)
+            found, beside = _fitted(chunk, seen, options, sampler.key)
             for name, row in found.items():
                 if output is not None and results.posteriors and row["status"] != FAILED:
                     one = ij.spectrum(chunk[name], name=name, **seen)
                     problem = ij.problem(one, **options)
                     row |= _sampled(problem, output / name, sampler, results.resume)
             rows |= found
+            covariances |= beside
             if target is not None:  # each chunk whole: a killed run loses the one it was in
-                io.write_atomically(target, _table(rows, eyes).encode())
+                long = [list(r.values()) for n in eyes for r in covariances.get(n, ())]
+                both = {target: _table(rows, eyes)}
+                both[covariances_beside(target)] = report.csv_of([COVARIANCES, *long])
+                io.write_together({path: text.encode() for path, text in both.items()})
             bar.set_description("eyes", refresh=False)
             bar.update(len(chunk))
     if target is None:
@@ -129,15 +138,16 @@ def _row(*cells: str) -> _Row:
 
 def _fitted(
     chunk: Eyes, seen: Mapping[str, Any], options: Mapping[str, Any], key: jax.Array
-) -> dict[str, _Row]:
+) -> tuple[dict[str, _Row], dict[str, list[_Row]]]:
+    """Rows of eyes, and of the covariances of those that can be fitted."""
     spectra = [m for m in chunk.values() if isinstance(m, Measured)]
     if not spectra:
-        return {name: _row(name, FAILED, "", str(fault)) for name, fault in chunk.items()}
+        return {name: _row(name, FAILED, "", str(fault)) for name, fault in chunk.items()}, {}
     first = spectra[0]
     try:
         problem = ij.problem(ij.spectrum(first, name="batch", **seen), **options)
     except ValueError as error:
-        return {name: _row(name, FAILED, "", str(error)) for name in chunk}
+        return {name: _row(name, FAILED, "", str(error)) for name in chunk}, {}
     devices = jax.device_count()
     full = _CHUNK * devices
     count = full if len(chunk) >= full else -(-len(chunk) // devices) * devices
@@ -156,7 +166,7 @@ def _fitted(
         jax.tree.map(np.asarray, _fit_all(p, values, sds, key)) for p in (problem, other)
     )
     names = [n for n in problem.free if not n.startswith("noise")]
-    rows = {}
+    rows, covariances = {}, {}
     for i, (name, measured) in enumerate(zip(chunk, spectra, strict=True)):
         mine, its = (jax.tree.map(lambda x, i=i: x[i], fits) for fits in (found, beside))
         status, said = _judged(problem, mine)
@@ -167,7 +177,10 @@ def _fitted(
         if warnings and status == OK:
             status = DOUBTFUL
         numbers = [(c, of[n]) for n in names for c, of in ((n, mine.values), (f"{n}_sd", mine.sd))]
-        abl = _abl_melanin(problem, mine)
+        covariance = _covariance(problem, mine, names)
+        priors = dict(zip(problem.free, problem.priors, strict=True))
+        covariances[name] = covariance_rows(name, {n: priors[n] for n in names}, covariance)
+        abl = _abl_melanin(names, mine, covariance)
         rows[name] = {
             **_row(name, status, "", "; ".join(warnings)),
             **{column: f"{x:.6g}" for column, x in [*numbers, *abl]},
@@ -181,7 +194,7 @@ def _fitted(
             **{f"other_{n}": f"{m.other.value:.6g}" for n, m in compared.moved.items()},
             "notes": "; ".join(measured.notes),
         }
-    return rows
+    return rows, covariances
 
 
 @eqx.filter_jit
@@ -196,21 +209,25 @@ def _fit_all(problem: Problem, values, sds, key):
     return eqx.filter_vmap(one, in_axes=(0, None if sds is None else 0))(values, sds)
 
 
-def _abl_melanin(problem: Problem, found: Fit) -> list[tuple[str, float]]:
-    """Load × fraction and its standard deviation, to first order, where both are free."""
-    names = ["melanin_load", "abl_fraction"]
-    if not set(names) <= set(problem.free):
-        return []
+def _covariance(problem: Problem, found: Fit, names: list[str]) -> np.ndarray:
+    """Covariance of the values of parameters, to first order."""
     places = [problem.free.index(n) for n in names]
     covariance = found.covariance[np.ix_(places, places)]
-    load, fraction = (float(found.values[n]) for n in names)
     # Derivatives by z: a value rises with its own coordinate.
     slopes = np.array([found.sd[n] for n in names]) / np.sqrt(np.diag(covariance))
-    slopes = slopes * np.array([fraction, load])
-    return [
-        ("abl_melanin", load * fraction),
-        ("abl_melanin_sd", float(np.sqrt(slopes @ covariance @ slopes))),
-    ]
+    return slopes[:, None] * covariance * slopes
+
+
+def _abl_melanin(names: list[str], found: Fit, covariance: np.ndarray) -> list[tuple[str, float]]:
+    """Load × fraction and its standard deviation, to first order, where both are free."""
+    both = ["melanin_load", "abl_fraction"]
+    if not set(both) <= set(names):
+        return []
+    load, fraction = (float(found.values[n]) for n in both)
+    places = [names.index(n) for n in both]
+    slopes, part = np.array([fraction, load]), covariance[np.ix_(places, places)]
+    spread = float(np.sqrt(slopes @ part @ slopes))
+    return [("abl_melanin", load * fraction), ("abl_melanin_sd", spread)]
 
 
 def _judged(problem: Problem, found: Fit) -> tuple[str, list[str]]:

@@ -2,6 +2,8 @@
 
 from .clone_folders import CloneFolder as CloneFolder
 from .clone_folders import read_clone as read_clone
+from .fits import FittedEyes as FittedEyes
+from .fits import read_fits as read_fits
 from .images import Image as Image
 from .images import read_environment as read_environment
 from .images import read_image as read_image

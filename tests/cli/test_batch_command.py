@@ -70,6 +70,14 @@ def check_batch(irisjax, eye, tmp_path, rel, status_of_all):
     assert rows["broken"]["warnings"] == f"{eyes / 'broken.csv'}, line 2: 'oops' is not a number"
     assert rows["e0"]["status"] == status_of_all
     assert (rows["e0"]["warnings"] == "") == (status_of_all == "ok")
+    with (out / "fits-covariance.csv").open() as file:
+        long = [(r["eye"], r["parameter"], r["other"], r) for r in csv.DictReader(file)]
+    free = ("melanin_load", "hemoglobin")
+    every = [(f"e{i}", one, other) for i in range(3) for one in free for other in free]
+    assert [place for *place, _ in long] == [[*place] for place in every]
+    assert long[0][3]["prior"] == "lognormal(0.15, 1.2)"
+    spread = float(rows["e0"]["melanin_load_sd"])
+    assert float(long[0][3]["covariance"]) == pytest.approx(spread**2, rel=1e-4)
     names = ("melanin_load", "chi_square")
     assert [rows["e0"][n] for n in names] == [rows["e2"][n] for n in names]
     # The mended eye alone is done again.

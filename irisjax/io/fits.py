@@ -1,0 +1,139 @@
+"""Results of `irisjax fit --batch`: a row for each eye, and the covariances of its parameters."""
+
+import csv
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from irisjax.infer.parameters import PARAMETERS, kind
+from irisjax.infer.priors import AbstractPrior, prior_of
+from irisjax.io.tables import naming
+
+COVARIANCES = ("eye", "parameter", "prior", "other", "covariance")
+"""Columns of the file of covariances."""
+
+
+class FittedEyes(NamedTuple):
+    """Eyes of a group, fitted with the same free parameters and priors.
+
+    Attributes:
+        names: Of the eyes.
+        priors: Of the parameters (but gain and noise, which are the instrument's) by name.
+        values: Most probable values, in the parameters' units.
+        z, covariance: The same in the coordinates in which priors are standard normal, and their
+            covariance, the gain marginalised.
+        process: Of the light, by its name in commands.
+        left_out: Names of eyes that are not used, and their status.
+    """
+
+    names: tuple[str, ...]
+    priors: dict[str, AbstractPrior]
+    values: Float[np.ndarray, "eyes parameters"]
+    z: Float[np.ndarray, "eyes parameters"]
+    covariance: Float[np.ndarray, "eyes parameters parameters"]
+    process: str
+    left_out: dict[str, str]
+
+
+def covariance_rows(
+    eye: str, priors: Mapping[str, AbstractPrior], covariance: Float[np.ndarray, "free free"]
+) -> list[dict[str, str]]:
+    """Return the rows of an eye in a file of covariances, in the parameters' units."""
+    return [
+        dict(zip(COVARIANCES, (eye, n, repr(prior), other, f"{x:.12g}"), strict=True))
+        for (n, prior), row in zip(priors.items(), covariance, strict=True)
+        for other, x in zip(priors, row, strict=True)
+    ]
+
+
+def covariances_beside(path: Path) -> Path:
+    """Return the file of covariances of a table of eyes."""
+    return path.with_name(f"{path.stem}-covariance.csv")
+
+
+def read_covariances(path: Path) -> dict[str, list[dict[str, str]]]:
+    """Read the rows of each eye of a file of covariances; none of one that is not there."""
+    found: dict[str, list[dict[str, str]]] = {}
+    if path.exists():
+        for row in _rows(path, COVARIANCES):
+            found.setdefault(row["eye"], []).append(row)
+    return found
+
+
+def read_fits(path: Path, status: Iterable[str] = ("ok",)) -> FittedEyes:
+    """Read the eyes of a folder or table of `irisjax fit --batch` that have such a status.
+
+    Raises:
+        ValueError: For another table, fewer than two eyes, and eyes that were not fitted alike.
+    """
+    path = path / "fits.csv" if path.is_dir() else path
+    rows = _rows(path, ("eye", "status"))
+    beside = covariances_beside(path)
+    stated, eyes, left = read_covariances(beside), {}, {}
+    if not stated:
+        raise ValueError(f"{beside}: not there, or empty; irisjax fit --batch -o writes it")
+    for row in rows:
+        used = row["status"] in tuple(status) and row["eye"] in stated
+        (eyes if used else left)[row["eye"]] = row if used else row["status"]
+    if len(eyes) < 2:
+        said = f"{path}: {len(eyes)} of {len(rows)} eyes can be used; a group needs two or more"
+        raise ValueError(f"{said} with status {' or '.join(status)}")
+    with naming(path):
+        priors = _same("priors", [{r["parameter"]: r["prior"] for r in stated[n]} for n in eyes])
+        process = _same("processes", [row.get("process", "") for row in eyes.values()])
+        values = _numbers(eyes.values(), list(priors))
+        _numbers(eyes.values(), [f"{name}_sd" for name in priors])
+    with naming(beside):
+        size = len(priors)
+        every = [_numbers(stated[name], ["covariance"]) for name in eyes]
+        if any(len(x) != size**2 for x in every):
+            raise ValueError("an eye lacks some covariances; irisjax fit --batch writes all")
+        covariance = np.reshape(every, (len(eyes), size, size))
+        known = {n: prior_of(p, *PARAMETERS[kind(n)].support) for n, p in priors.items()}
+    z, slope = np.empty_like(values), np.empty_like(values)
+    for i, prior in enumerate(known.values()):
+        z[:, i], slope[:, i] = _in_standard(prior, values[:, i])
+    if (wrong := ~np.isfinite(z / slope).all(axis=1)).any():
+        raise ValueError(f"{path}: {list(eyes)[np.argmax(wrong)]} lies at the end of its prior")
+    covariance = covariance / (slope[:, :, None] * slope[:, None, :])
+    kept = [i for i, name in enumerate(known) if kind(name) not in ("gain", "noise")]
+    if not kept:
+        raise ValueError(f"{path}: no parameter of the iris is free")
+    return FittedEyes(
+        tuple(eyes), {n: known[n] for i, n in enumerate(known) if i in kept}, values[:, kept],
+        z[:, kept], covariance[:, kept][:, :, kept], process, left,
+    )  # fmt: skip
+
+
+def _in_standard(prior: AbstractPrior, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    z = prior.standard(jnp.asarray(values))
+    return np.asarray(z), np.asarray(jax.jvp(prior.value, (z,), (jnp.ones_like(z),))[1])
+
+
+def _rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
+    table = csv.DictReader(path.read_text(encoding="utf-8").splitlines())
+    if not set(columns) <= set(table.fieldnames or ()):
+        raise ValueError(f"{path}: is no table of irisjax fit --batch")
+    return list(table)
+
+
+def _numbers(rows: Iterable[Mapping[str, str]], columns: Sequence[str]) -> np.ndarray:
+    found = []
+    for row in rows:
+        for name in columns:
+            try:
+                found.append(float(row[name]))
+            except (KeyError, ValueError, TypeError):
+                raise ValueError(f"{row['eye']} has no number in a column {name}") from None
+    return np.reshape(found, (-1, len(columns)))
+
+
+def _same(what, each):
+    if any(one != each[0] for one in each):
+        raise ValueError(f"its eyes were fitted with different {what}; fit them in one batch")
+    return each[0]
