@@ -21,6 +21,7 @@ _COMMANDS = {
     "colour": ("measure",),
     "simulate-measurement": ("measure",),
     "fit": ("fit",),
+    "compare-groups": ("groups",),
     "render": ("render", "OpenImageIO"),
     "export": ("export", "OpenImageIO", "trimesh"),
     "view": ("view", "OpenImageIO", "tomlkit", "viser"),

@@ -18,6 +18,8 @@ from .parameters import DEFAULT_FREE as DEFAULT_FREE
 from .parameters import PARAMETERS as PARAMETERS
 from .parameters import Parameter as Parameter
 from .parameters import of_iris as of_iris
+from .populations import Population as Population
+from .populations import population as population
 from .posterior import Chains as Chains
 from .posterior import ChainStatus as ChainStatus
 from .posterior import Density as Density
@@ -27,3 +29,7 @@ from .priors import LogNormal as LogNormal
 from .priors import LogUniform as LogUniform
 from .priors import Normal as Normal
 from .priors import Uniform as Uniform
+from .repeatability import Agreement as Agreement
+from .repeatability import IntraclassCorrelation as IntraclassCorrelation
+from .repeatability import agreement as agreement
+from .repeatability import intraclass_correlation as intraclass_correlation

@@ -1,0 +1,159 @@
+"""`irisjax compare-groups`: two groups of eyes, or one group measured twice."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import numpy as np
+
+import irisjax as ij
+from irisjax import io
+from irisjax.cli import batch
+from irisjax.cli import options as opt
+from irisjax.cli.report import csv_of, print_table
+from irisjax.cli.sentences import interval
+from irisjax.infer.model_comparison import Interval
+from irisjax.infer.parameters import unit_of
+from irisjax.infer.populations import PRIOR, population
+from irisjax.infer.repeatability import agreement, intraclass_correlation
+from irisjax.io.fits import FittedEyes, read_fits
+
+_PRODUCT = ("melanin_load", "abl_fraction")  # abl_melanin
+_EYES = 201  # of a group, by whose quantiles the spread of a product is stated
+_Row = dict[str, str | Interval]
+
+
+class Groups(opt.Group, panel="Groups"):
+    first: Path = opt.argument(
+        "results of irisjax fit --batch: the folder or its fits.csv", "A", ...
+    )
+    second: Path = opt.argument("results of the other group", "B", ...)
+    paired: bool = opt.flag("the same eyes, measured twice: repeatability, by their names")
+    doubtful: bool = opt.flag("use eyes of status doubtful too")
+    output: Path | None = opt.output("for the table, as CSV; it is printed too", "FILE")
+    seed: int = opt.seeded("results")
+
+
+@opt.grouped
+def compare_groups_command(groups: Groups) -> None:
+    """Compare the pigments of two groups of eyes, with intervals.
+
+    For example: irisjax compare-groups fits_control fits_treated
+
+    The eyes of each group are fitted again under a prior that they share: a mean and a
+    spread for each parameter, which are inferred. With --paired the groups are the same
+    eyes measured twice, matched by their names.
+    """
+    if groups.output is not None:
+        io.check_writable(groups.output)
+    status = (batch.OK, batch.DOUBTFUL) if groups.doubtful else (batch.OK,)
+    one, two = (read_fits(path, status) for path in (groups.first, groups.second))
+    _check_alike(one, two)
+    for path, found in ((groups.first, one), (groups.second, two)):
+        if found.left_out:
+            some = ", ".join(f"{n} ({s})" for n, s in list(found.left_out.items())[:8])
+            opt.tell(f"{path}: {len(found.left_out)} eyes are left out: {some}")
+    remarks, rows = _repeated(one, two) if groups.paired else _compared(one, two, groups.seed)
+    shown = {name: [_cell(row[name]) for row in rows] for name in rows[0]}
+    print_table([], shown, remarks, title="value (95 % interval)")
+    if groups.output is not None:
+        io.write_atomically(groups.output, _table(remarks, rows).encode())
+
+
+def _check_alike(one: FittedEyes, two: FittedEyes) -> None:
+    if set(one.priors) != set(two.priors):
+        lists = " and ".join(", ".join(e.priors) for e in (one, two))
+        raise ValueError(f"the groups have different free parameters: {lists}")
+    if one.process != two.process:
+        said = f"the groups were fitted by different processes, {one.process} and {two.process}"
+        raise ValueError(f"{said}: fit both by one --process")
+    if other := [n for n in one.priors if repr(one.priors[n]) != repr(two.priors[n])]:
+        raise ValueError(f"the groups were fitted with different priors of {other[0]}")
+
+
+def _compared(one: FittedEyes, two: FittedEyes, seed: int) -> tuple[list[str], list[_Row]]:
+    """Remarks, and a row for each parameter."""
+    key = jax.random.key(seed, impl="threefry2x32")
+    found = [
+        population(e.z, e.covariance, key=jax.random.fold_in(key, i))
+        for i, e in enumerate((one, two))
+    ]
+    random, typical, spread = np.random.default_rng([seed, 1]), [{}, {}], [{}, {}]
+    for group, means, spreads in zip(found, typical, spread, strict=True):
+        off = group.spread[:, None] * random.standard_normal((1, _EYES, len(one.priors)))
+        eyes = {}
+        for i, (name, prior) in enumerate(one.priors.items()):
+            mean, sd = group.mean[:, i], group.spread[:, i]
+            means[name] = np.asarray(prior.value(mean))
+            spreads[name] = np.asarray(prior.value(mean + sd) - prior.value(mean - sd)) / 2
+            if name in _PRODUCT:
+                eyes[name] = np.asarray(prior.value(mean[:, None] + off[..., i]))
+        if len(eyes) == len(_PRODUCT):
+            low, high = np.percentile(np.prod(list(eyes.values()), axis=0), (16, 84), axis=1)
+            spreads["abl_melanin"] = (high - low) / 2
+            means["abl_melanin"] = np.prod([means[n] for n in _PRODUCT], axis=0)
+    rows: list[_Row] = []
+    for i, name in enumerate(typical[0]):
+        row: _Row = {"parameter": name, "unit": unit_of(name)}
+        (a, b), both = (t[name] for t in typical), zip("ab", spread, strict=True)
+        row |= {"mean_a": _interval(a), "mean_b": _interval(b), "difference": _interval(b - a)}
+        row |= {"p_b_above_a": f"{(b > a).mean():.3g}"}
+        row |= {f"spread_{tag}": _interval(s[name]) for tag, s in both}
+        for tag, group in zip("ab", found, strict=True):
+            own = i < len(one.priors)
+            row[f"shrinkage_{tag}"] = f"{group.shrinkage[i]:.2g}" if own else ""
+        rows.append(row)
+    counts = f"{len(one.names)} eyes in a, {len(two.names)} in b, fitted by {one.process}"
+    return [
+        f"{counts}; difference: b less a",
+        "mean: the typical eye (mean in the coordinate in which the fits' prior is normal)",
+        "spread: half of the range of the central 68 % of eyes",
+        "likelihood of each eye: normal, the fit divided by its prior (least squares)",
+        f"priors: {PRIOR}; shrinkage: share by which an eye's own value is drawn to the mean",
+        f"the fits' priors: {'; '.join(f'{n} ~ {p}' for n, p in one.priors.items())}",
+    ], rows
+
+
+def _repeated(one: FittedEyes, two: FittedEyes) -> tuple[list[str], list[_Row]]:
+    """Remarks, and a row for each parameter, of eyes that are in both."""
+    names = [name for name in one.names if name in two.names]
+    if len(names) < 3:
+        said = f"{len(names)} eyes have the same name in both and can be used"
+        raise ValueError(f"--paired takes three or more: {said}")
+    values = [e.values[[e.names.index(n) for n in names]] for e in (one, two)]
+    pairs = {n: np.stack([v[:, i] for v in values], 1) for i, n in enumerate(one.priors)}
+    if set(_PRODUCT) <= set(pairs):
+        pairs["abl_melanin"] = np.prod([pairs[n] for n in _PRODUCT], axis=0)
+    rows: list[_Row] = []
+    for name, x in pairs.items():
+        within, limits = intraclass_correlation(x), agreement(x[:, 0], x[:, 1])
+        row = {"icc_agreement": within.agreement, "icc_consistency": within.consistency}
+        row |= {"bias": limits.bias, "lower_limit": limits.lower, "upper_limit": limits.upper}
+        rows.append({"parameter": name, "unit": unit_of(name), **row})
+    return [
+        f"{len(names)} eyes measured twice, fitted by {one.process}",
+        "icc_agreement: ICC(2,1), icc_consistency: ICC(3,1) [Shrout & Fleiss 1979]",
+        "bias: mean of b less a; limits: bias ± 1.96 sd of the differences [Bland & Altman 1986]",
+    ], rows
+
+
+def _cell(x: str | Interval) -> str:
+    return x if isinstance(x, str) else interval(x)
+
+
+def _interval(draws: np.ndarray) -> Interval:
+    median, low, high = np.percentile(draws, (50.0, 2.5, 97.5))
+    return Interval(float(median), float(low), float(high))
+
+
+def _table(remarks: Sequence[str], rows: Sequence[_Row]) -> str:
+    """CSV, a parameter a row, after comments with the remarks."""
+    made = []
+    for row in rows:
+        cells: dict[str, str] = {}
+        for name, x in row.items():
+            ends = [x] if isinstance(x, str) else [f"{v:.6g}" for v in x]
+            cells |= dict(zip((name, f"{name}_q2.5", f"{name}_q97.5"), ends, strict=False))
+        made.append(cells)
+    header = "".join(f"# {line}\n" for line in (*remarks, f"irisjax {ij.__version__}"))
+    return header + csv_of([list(made[0]), *(list(cells.values()) for cells in made)])
