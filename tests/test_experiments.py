@@ -26,6 +26,7 @@ SLOW = {
     "clone_thickness",
     "exact_against_montecarlo",
     "eye_colours",
+    "groups",
     "painted_irides",
     "polarisation",
     "render_figures",
