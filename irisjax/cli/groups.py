@@ -108,7 +108,8 @@ def _compared(one: FittedEyes, two: FittedEyes, seed: int) -> tuple[list[str], l
         f"{counts}; difference: b less a",
         "mean: the typical eye (mean in the coordinate in which the fits' prior is normal)",
         "spread: half of the range of the central 68 % of eyes",
-        "likelihood of each eye: normal, the fit divided by its prior (least squares)",
+        "likelihood of each eye: normal, the fit divided by its prior (least squares); where the "
+        "shrinkage is above 0.5 means and spreads can be off by more than their intervals",
         f"priors: {PRIOR}; shrinkage: share by which an eye's own value is drawn to the mean",
         f"the fits' priors: {'; '.join(f'{n} ~ {p}' for n, p in one.priors.items())}",
     ], rows
