@@ -152,7 +152,7 @@ class Eye(eqx.Module):
         cornea: Any = CORNEA if self.cornea is None else self.cornea.index
         return Media(aqueous=self.aqueous_index, cornea=cornea)
 
-    def replace(self, **fields: Any) -> "Eye":
+    def replace(self, **fields: object) -> "Eye":
         """Return a copy with some fields changed."""
         return dataclasses.replace(self, **fields)
 

@@ -166,7 +166,7 @@ class Kept:
             return self.__wrapped__(*args, **named)
         return _filled(program.result, program.compiled(*arrays))
 
-    def _found(self, form: Any, types: tuple[Any, ...]) -> "_Program | None":
+    def _found(self, form: object, types: tuple[Any, ...]) -> "_Program | None":
         debugging = any(getattr(jax.config, name, False) for name in _FOR_DEBUGGING)
         place = _programs()
         if debugging or jax.device_count() > 1 or place is None:
@@ -200,7 +200,7 @@ class _Program(NamedTuple):
     linear_algebra: bool
 
 
-def _compiled(function: Callable[..., Any], form: Any, types: tuple[Any, ...]) -> _Program:
+def _compiled(function: Callable[..., Any], form: object, types: tuple[Any, ...]) -> _Program:
     plain = getattr(function, "__wrapped__", function)
     results = []
 
@@ -240,7 +240,7 @@ def _compiler_options() -> dict[str, Any] | None:
     return {"xla_cpu_use_fusion_emitters": False} if on_cpu else None
 
 
-def _is_array(x: Any) -> bool:
+def _is_array(x: object) -> bool:
     return isinstance(x, jax.Array | np.ndarray | np.generic)
 
 
@@ -249,7 +249,7 @@ def _filled(form: Any, arrays: Iterable[Any]) -> Any:
     return jax.tree.map(lambda x: next(left) if x is _Array else x, form)
 
 
-def _settings() -> tuple[Any, ...]:
+def _settings() -> tuple[object, ...]:
     configured = (str(getattr(jax.config, name, None)) for name in _SETTINGS)
     return jax.default_backend(), os.cpu_count(), *configured
 

@@ -20,7 +20,7 @@ _MOST_WAVELENGTHS = 1_000_000
 OnlyWith: TypeAlias = Mapping[str, tuple[str, tuple[str, ...]]]
 
 
-def option(help: str, default: Any = None, *, names: str = "", **shown: Any) -> Any:
+def option(help: str, default: object = None, *, names: str = "", **shown: Any) -> Any:
     """An option of the command line: a field of a `Group`.
 
     Args:
@@ -38,12 +38,12 @@ def option(help: str, default: Any = None, *, names: str = "", **shown: Any) -> 
     )
 
 
-def argument(help: str, metavar: str, default: Any = None) -> Any:
+def argument(help: str, metavar: str, default: object = None) -> Any:
     """A value of the command line without a name."""
     return option(help, default, metavar=metavar, positional=True)
 
 
-def output(help: str, metavar: str, default: Any = None) -> Any:
+def output(help: str, metavar: str, default: object = None) -> Any:
     """The file or folder for results."""
     return option(help, default, names="-o --output", metavar=metavar)
 
@@ -56,7 +56,7 @@ def flag(help: str, default: bool = False) -> Any:
 def number(
     help: str,
     allowed: Range | None = None,
-    default: Any = None,
+    default: object = None,
     metavar: str = "",
     *,
     whole: bool = False,

@@ -101,7 +101,7 @@ def _summary(found: Analysis) -> str:
     return csv_of([COLUMNS, *rows])
 
 
-def csv_of(rows: Iterable[Iterable[Any]]) -> str:
+def csv_of(rows: Iterable[Iterable[object]]) -> str:
     """Return rows of cells as CSV."""
     out = text_io.StringIO()
     csv.writer(out, lineterminator="\n").writerows(rows)

@@ -1,9 +1,8 @@
 """Noise round a circle: value noise on hashed lattices, one program for all its uses."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float, Int, UInt32
 
 from irisjax.numerics.interpolation import smoothstep
@@ -60,6 +59,6 @@ def _hashed(seed: Seed, i: NoiseField, j: NoiseField) -> NoiseField:
     return _mixed(x + seed).astype(i.dtype) * 2.0**-31 - 1
 
 
-def drawn(seed: Seed, n: int, k: Whole, dtype: Any) -> NoiseField:
+def drawn(seed: Seed, n: int, k: Whole, dtype: DTypeLike) -> NoiseField:
     """The k-th of n-tuples uniform on 0 to 1, shape (n,)."""
     return 0.5 + 0.5 * _hashed(seed, jnp.arange(n).astype(dtype), jnp.full(n, k, dtype))

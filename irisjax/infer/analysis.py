@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -98,7 +98,7 @@ def analyse(
     resume: bool = False,
     walkers: int = 64,
     max_steps: int = 20_000,
-    progress: Callable[[int, str], Any] | None = None,
+    progress: Callable[[int, str], object] | None = None,
     key: PRNGKey,
 ) -> Analysis:
     """Fit a problem, sample its posterior, and judge both; `ValueError` as by `sample`, whose

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float
 from scipy import stats
 from scipy.optimize import brentq
 
@@ -33,10 +33,10 @@ class Approximation(Protocol):
     """
 
     @property
-    def z(self) -> Any: ...
+    def z(self) -> Float[Array | np.ndarray, " free"]: ...
 
     @property
-    def covariance(self) -> Any: ...
+    def covariance(self) -> Float[Array | np.ndarray, "free free"]: ...
 
 
 class Start(NamedTuple):
@@ -74,7 +74,7 @@ def importance_sample(
     log_density: Callable[[np.ndarray], np.ndarray],
     start: Approximation,
     random: np.random.RandomState,
-    progress: Callable[[int], Any] = lambda rounds: None,
+    progress: Callable[[int], object] = lambda rounds: None,
 ) -> ImportanceSample:
     """Sample a density of z whose priors are standard normal; it can miss a second, far mode.
 

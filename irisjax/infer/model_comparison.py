@@ -149,7 +149,7 @@ def compare_models(
     problem: Problem,
     candidates: Mapping[str, Problem] | None = None,
     *,
-    progress: Callable[[str, int], Any] | None = None,
+    progress: Callable[[str, int], object] | None = None,
     key: PRNGKey,
 ) -> tuple[Assessment, ...]:
     """Assess several models of a problem's data by importance sampling.

@@ -86,7 +86,7 @@ def _of_spreads(spread, precision, information):
     the logarithm of what does not depend on them.
     """
     each = max(1, _MOST_NUMBERS // precision.size)
-    vectors, matrices, rest = [], [], []
+    between, vectors, matrices, rest = precision, [], [], []
     for t in np.split(spread, range(each, len(spread), each)):
         t = t[:, None, :]
         root = np.eye(t.shape[-1]) + t[..., None] * precision * t[..., None, :]

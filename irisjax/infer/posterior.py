@@ -99,7 +99,7 @@ def sample(
     resume: bool = False,
     walkers: int = 64,
     max_steps: int = 20_000,
-    progress: Callable[[int, str], Any] | None = None,
+    progress: Callable[[int, str], object] | None = None,
     throw: bool = False,
     key: PRNGKey,
 ) -> Chains:
@@ -271,7 +271,7 @@ def _advance(
     steps: int,
     log_density: Callable[[np.ndarray], np.ndarray],
     key: PRNGKey,
-    tell: Callable[[int, str], Any],
+    tell: Callable[[int, str], object],
     word: str,
 ) -> None:
     """Continue a chain to so many steps."""

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.special import ndtr, ndtri
 
-Real: TypeAlias = float | np.ndarray | jax.Array
+_Real: TypeAlias = float | np.ndarray | jax.Array
 """A number or an array of numbers."""
 
 
@@ -27,11 +27,11 @@ class AbstractPrior(eqx.Module):
     high: eqx.AbstractVar[float]
 
     @abc.abstractmethod
-    def value(self, z: Real) -> jax.Array:
+    def value(self, z: _Real) -> jax.Array:
         """Return the prior's quantile at the standard normal's probability below z."""
 
     @abc.abstractmethod
-    def standard(self, value: Real) -> jax.Array:
+    def standard(self, value: _Real) -> jax.Array:
         """Return the inverse of `value`."""
 
     @property
@@ -57,10 +57,10 @@ class LogNormal(AbstractPrior):
     low: ClassVar[float] = 0.0
     high: ClassVar[float] = np.inf
 
-    def value(self, z: Real) -> jax.Array:
+    def value(self, z: _Real) -> jax.Array:
         return self.median * jnp.exp(self.spread * z)
 
-    def standard(self, value: Real) -> jax.Array:
+    def standard(self, value: _Real) -> jax.Array:
         return jnp.log(value / self.median) / self.spread
 
     @property
@@ -76,11 +76,11 @@ class LogitNormal(AbstractPrior):
     low: ClassVar[float] = 0.0
     high: ClassVar[float] = 1.0
 
-    def value(self, z: Real) -> jax.Array:
+    def value(self, z: _Real) -> jax.Array:
         odds = self.median / (1 - self.median) * jnp.exp(self.spread * z)
         return odds / (1 + odds)
 
-    def standard(self, value: Real) -> jax.Array:
+    def standard(self, value: _Real) -> jax.Array:
         return jnp.log(value / (1 - value) * (1 - self.median) / self.median) / self.spread
 
     @property
@@ -94,13 +94,13 @@ class Uniform(AbstractPrior):
     low: float = _number()
     high: float = _number()
 
-    def value(self, z: Real) -> jax.Array:
+    def value(self, z: _Real) -> jax.Array:
         # From the nearer end, so that both ends are resolved alike.
         up, down = ndtr(jnp.minimum(z, 0)), ndtr(-jnp.maximum(z, 0))
         width = self.high - self.low
         return jnp.where(z < 0, self.low + width * up, self.high - width * down)
 
-    def standard(self, value: Real) -> jax.Array:
+    def standard(self, value: _Real) -> jax.Array:
         return ndtri((value - self.low) / (self.high - self.low))
 
     @property
@@ -114,10 +114,10 @@ class LogUniform(AbstractPrior):
     low: float = _number()
     high: float = _number()
 
-    def value(self, z: Real) -> jax.Array:
+    def value(self, z: _Real) -> jax.Array:
         return jnp.exp(Uniform(np.log(self.low), np.log(self.high)).value(z))
 
-    def standard(self, value: Real) -> jax.Array:
+    def standard(self, value: _Real) -> jax.Array:
         return ndtri(jnp.log(value / self.low) / np.log(self.high / self.low))
 
     @property
@@ -133,14 +133,14 @@ class Normal(AbstractPrior):
     low: float = _number(default=0.0)
     high: float = _number(default=np.inf)
 
-    def value(self, z: Real) -> jax.Array:
+    def value(self, z: _Real) -> jax.Array:
         below, above = self._cut_off()
         # Counted from the nearer tail, where the other would round to one.
         lower = ndtri(below + (1 - below - above) * ndtr(jnp.minimum(z, 0)))
         upper = -ndtri(above + (1 - below - above) * ndtr(-jnp.maximum(z, 0)))
         return self.mean + self.sd * jnp.where(z < 0, lower, upper)
 
-    def standard(self, value: Real) -> jax.Array:
+    def standard(self, value: _Real) -> jax.Array:
         below, above = self._cut_off()
         return ndtri((ndtr((value - self.mean) / self.sd) - below) / (1 - below - above))
 

@@ -298,7 +298,7 @@ def problem(
     by = solver or process or ILIT_2006
     base = _with_law(base, by.process if isinstance(by, AbstractSolver) else by, (*names, *fixed))
     known = {n: v for n, v in {**parameters.of_iris(base), **fixed}.items() if n not in names}
-    noise, solvers = Noise() if noise is None else noise, solvers_of(base, seen, by)
+    solvers = solvers_of(base, seen, by)
     every = tuple(priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded)
     return Problem(seen, noise, base, _as_arrays(known), solvers, tuple(expanded), every)
 

@@ -3,7 +3,6 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,7 @@ _OF_ESTIMATE = "median", "sd", "q2.5", "q97.5", "contraction"  # fields of an `E
 
 def files_of(
     clone: Outlined,
-    settings: Mapping[str, Any],
+    settings: Mapping[str, object],
     timings: Mapping[str, float],
     pictures: PictureDifference | None = None,
     doubts: Sequence[str] = (),
@@ -67,11 +66,11 @@ def files_of(
 
 
 def _summary(
-    clone: Outlined, settings: Mapping[str, Any], timings: Mapping[str, float]
-) -> dict[str, Any]:
+    clone: Outlined, settings: Mapping[str, object], timings: Mapping[str, float]
+) -> dict[str, object]:
     """The contents of `clone.json`."""
     outlines = clone.boundaries
-    found: dict[str, Any] = {
+    found: dict[str, object] = {
         "photograph": clone.photograph.name,
         "notes": clone.photograph.notes,
         "settings": settings,
@@ -131,7 +130,7 @@ def _summary(
     return found | {"seconds": timings}
 
 
-def _pose(pose: Pose) -> dict[str, Any]:
+def _pose(pose: Pose) -> dict[str, object]:
     """Camera and eye as entries of `clone.json`."""
     eye, (mean, spread) = pose.eye, limbus_spread()
     return {
@@ -165,7 +164,7 @@ def scene_text(clone: Fitted) -> str:
     pigments = "eumelanin", "pheomelanin", "abl_fraction", "pheomelanin_abl_fraction"
     structure = "stroma_thickness", "fibril_radius", "scattering_scale"
     places = "pupil_radius", "pupil_margin", "limbus_width", "iris_depth"
-    sections: dict[str, Any] = {
+    sections: dict[str, object] = {
         "iris": {name: getattr(scene.tissue, name) for name in (*pigments, *structure)},
         "maps": {"file": "maps.exr"},
         "eye": {
@@ -205,7 +204,7 @@ def _is_uniform(around: Environment) -> bool:
     return float(np.ptp(np.asarray(around.radiance))) == 0
 
 
-def _ellipse(outline: Ellipse) -> dict[str, Any]:
+def _ellipse(outline: Ellipse) -> dict[str, object]:
     return {
         "centre_px": outline.centre,
         "semi_axes_px": outline.semi_axes,

@@ -90,10 +90,10 @@ def checked(value: Any, allowed: EntryCheck) -> Any:
     return value
 
 
-def listed(form: str, allowed: EntryCheck) -> Callable[[Any], tuple]:
+def listed(form: str, allowed: EntryCheck) -> Callable[[Any], tuple[Any, ...]]:
     """A check of lists that are written as `form`, such as `[x, y, z]`, of as many entries."""
 
-    def check(value: Any) -> tuple:
+    def check(value: Any) -> tuple[Any, ...]:
         if not (isinstance(value, list) and len(value) == form.count(",") + 1):
             raise ValueError(f"must be {form}")
         return tuple(checked(entry, allowed) for entry in value)

@@ -124,11 +124,11 @@ class AbstractInstrument(eqx.Module):
                 factor = factor * self.media.inward(jnp.ones_like(cosine))[0]
         return factor, Light(cosine, self.exits, self.rays, self.polarised)
 
-    def counted(self, light: Solution) -> tuple[Spectrum, Spectrum | None]:
+    def counted(self, solution: Solution) -> tuple[Spectrum, Spectrum | None]:
         """Return the share of the light that comes back, one value a wavelength, and its error."""
         if self.first_surface:
-            return light.reflectance + light.mirrored, light.total_error
-        return light.reflectance, light.standard_error
+            return solution.reflectance + solution.mirrored, solution.total_error
+        return solution.reflectance, solution.standard_error
 
     @property
     def rays(self) -> Spectrum | None:
@@ -141,16 +141,16 @@ class AbstractInstrument(eqx.Module):
         return None
 
     def spectrum(
-        self, light: Solution, factor: Scalar, scale: Numbers, quantity: str, *, unit: str = ""
+        self, solution: Solution, factor: Scalar, scale: Numbers, quantity: str, *, unit: str = ""
     ) -> Reading:
         """Return what counts of a solution, times `scale`, as a `Reading`."""
-        values, error = self.counted(light)
+        values, error = self.counted(solution)
         error = None if error is None else scale * error
-        return self.result(light, factor, scale * values, error, quantity=quantity, unit=unit)
+        return self.result(solution, factor, scale * values, error, quantity=quantity, unit=unit)
 
     def result(
         self,
-        light: Solution,
+        solution: Solution,
         factor: Scalar,
         values: Spectrum,
         error: Spectrum | None,
@@ -158,15 +158,15 @@ class AbstractInstrument(eqx.Module):
         **more: Any,
     ) -> R:
         """Return values as a `Reading`, with what the solution says besides."""
-        shares = light.absorbed, light.mirrored, light.transmitted
+        shares = solution.absorbed, solution.mirrored, solution.transmitted
         shares = jax.tree.map(lambda x: factor * x, shares)
         if self.bands is not None:
             values, shares = jax.tree.map(self.bands.mean, (values, shares))
             error = None if error is None else self.bands.error(error)
-        return kind(self.centres, values, error, light.status, *shares, **more)
+        return kind(self.centres, values, error, solution.status, *shares, **more)
 
     @abc.abstractmethod
-    def reading(self, light: Solution, factor: Scalar) -> Any:
+    def reading(self, solution: Solution, factor: Scalar) -> Any:
         """Compute the reading from a solution; `factor` dims the light on its way."""
 
 

@@ -25,7 +25,7 @@ def observe(
     *,
     key: PRNGKey | None = None,
     throw: bool = True,
-    progress: Callable[[int], Any] | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> Any:
     """Read an iris with an instrument.
 

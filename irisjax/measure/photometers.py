@@ -30,8 +30,8 @@ class Spectrophotometer(AbstractInstrument):
     def __init__(self, wavelengths: Numbers, **settings: Unpack[InstrumentSettings]):
         super().__init__(wavelengths, **settings)
 
-    def reading(self, light: Solution, factor: Scalar) -> Reading:
-        return self.spectrum(light, factor, factor * self.gain, "reflectance")
+    def reading(self, solution: Solution, factor: Scalar) -> Reading:
+        return self.spectrum(solution, factor, factor * self.gain, "reflectance")
 
 
 class Radiometer(AbstractInstrument):
@@ -65,12 +65,12 @@ class Radiometer(AbstractInstrument):
     def rays(self) -> Spectrum:
         return self.power  # as in LB06
 
-    def reading(self, light: Solution, factor: Scalar) -> Reading:
+    def reading(self, solution: Solution, factor: Scalar) -> Reading:
         known = jnp.isfinite(self.power).all()
-        status = RESULTS.where(known, light.status, RESULTS.invalid_input)
-        light = dataclasses.replace(light, status=status)
+        status = RESULTS.where(known, solution.status, RESULTS.invalid_input)
+        solution = dataclasses.replace(solution, status=status)
         scale = factor * self.gain * self.power / jnp.pi
-        return self.spectrum(light, factor, scale, "radiance", unit="relative/sr")
+        return self.spectrum(solution, factor, scale, "radiance", unit="relative/sr")
 
 
 class Transmissometer(AbstractInstrument):
@@ -85,14 +85,14 @@ class Transmissometer(AbstractInstrument):
         if self.cornea == "round-trip":
             raise ValueError("transmitted light leaves behind: cornea is 'none' or 'inward'")
 
-    def counted(self, light: Solution) -> tuple[Spectrum, Spectrum | None]:
-        if light.transmitted is None:
+    def counted(self, solution: Solution) -> tuple[Spectrum, Spectrum | None]:
+        if solution.transmitted is None:
             said = "no light gets behind a black pigment epithelium"
             raise ValueError(f"{said}: give the iris an ipe_melanin, ug/mm2 (--ipe-melanin)")
-        return light.transmitted, light.transmitted_error
+        return solution.transmitted, solution.transmitted_error
 
-    def reading(self, light: Solution, factor: Scalar) -> Reading:
-        return self.spectrum(light, factor, factor * self.gain, "transmittance")
+    def reading(self, solution: Solution, factor: Scalar) -> Reading:
+        return self.spectrum(solution, factor, factor * self.gain, "transmittance")
 
 
 class Colorimeter(AbstractInstrument):
@@ -114,9 +114,9 @@ class Colorimeter(AbstractInstrument):
         super().__init__(wavelengths, **settings)
         self.observer = Observer.of(wavelengths, illuminant, observer)
 
-    def reading(self, light: Solution, factor: Scalar) -> Colour:
-        values, _ = self.counted(light)
-        return self.observer.colour(jnp.asarray(factor * self.gain * values), light.status)
+    def reading(self, solution: Solution, factor: Scalar) -> Colour:
+        values, _ = self.counted(solution)
+        return self.observer.colour(jnp.asarray(factor * self.gain * values), solution.status)
 
 
 class Brdf(eqx.Module):
@@ -183,14 +183,14 @@ class Goniophotometer(AbstractInstrument):
     def exits(self) -> Directions:
         return Directions(self.cos_exit, self.azimuth)
 
-    def reading(self, light: Solution, factor: Scalar) -> Brdf:
-        assert light.brdf is not None
+    def reading(self, solution: Solution, factor: Scalar) -> Brdf:
+        assert solution.brdf is not None
         assert self.cos_incidence is not None
-        scale, error = factor * self.gain, light.brdf_error
+        scale, error = factor * self.gain, solution.brdf_error
         error = None if error is None else scale * error
         directions = self.cos_incidence, self.cos_exit, self.azimuth
-        read = scale * light.brdf, error, factor * light.mirrored
-        return Brdf(self.wavelengths, *directions, *read, light.status)
+        read = scale * solution.brdf, error, factor * solution.mirrored
+        return Brdf(self.wavelengths, *directions, *read, solution.status)
 
 
 def reflectance(

@@ -90,10 +90,10 @@ class PolarisedInstrument(AbstractInstrument):
         return 0.5 * polarised_at(turned)
 
     def matrix(
-        self, light: Solution
+        self, solution: Solution
     ) -> tuple[Float[Array, "n 4 4"], Float[Array, "n 16 16"] | None]:
         """Mueller matrix of reflectance factors (n wavelengths), and its covariance or `None`."""
-        found = light.polarisation
+        found = solution.polarisation
         assert isinstance(found, Polarisation)
         if self.cos_exit is None:
             whole = found.reflected + found.mirrored if self.first_surface else found.reflected
@@ -103,9 +103,11 @@ class PolarisedInstrument(AbstractInstrument):
         covariance = None if covariance is None else jnp.pi**2 * covariance[:, 0]
         return jnp.pi * found.brdf[:, 0], covariance
 
-    def error(self, light: Solution, gradient: Float[Array, "n 4 4"]) -> Float[Array, " n"] | None:
+    def error(
+        self, solution: Solution, gradient: Float[Array, "n 4 4"]
+    ) -> Float[Array, " n"] | None:
         """Standard error that follows from `gradient` by the numbers of `matrix`."""
-        covariance = self.matrix(light)[1]
+        covariance = self.matrix(solution)[1]
         if covariance is None:
             return None
         gradient = gradient.reshape(-1, 16)
@@ -140,17 +142,17 @@ class Analyser(PolarisedInstrument):
         super().__init__(wavelengths, polariser=polariser, **settings)
         self.setting = setting
 
-    def reading(self, light: Solution, factor: Scalar) -> Reading:
+    def reading(self, solution: Solution, factor: Scalar) -> Reading:
         assert self.polariser is not None
         crossed = self.setting == "crossed"
         passed = self.filtered(self.polariser + (jnp.pi / 2 if crossed else 0.0))
         weights = factor * self.gain * passed[:, None] * self.light()[None]
-        matrix, _ = self.matrix(light)
+        matrix, _ = self.matrix(solution)
         weights = jnp.broadcast_to(weights[None], matrix.shape)
-        values, error = (weights * matrix).sum((-2, -1)), self.error(light, weights)
+        values, error = (weights * matrix).sum((-2, -1)), self.error(solution, weights)
         name = f"{'cross' if crossed else 'co'}-polarised reflectance"
         name = name if self.cos_exit is None else f"{name} factor"
-        return self.result(light, factor, values, error, quantity=name, unit="")
+        return self.result(solution, factor, values, error, quantity=name, unit="")
 
 
 class PolarisedReading(Reading):
@@ -175,8 +177,8 @@ class Polarimeter(PolarisedInstrument):
     def __init__(self, wavelengths: Numbers, **settings: Any):
         super().__init__(wavelengths, **settings)
 
-    def reading(self, light: Solution, factor: Scalar) -> PolarisedReading:
-        matrix = self.matrix(light)[0]
+    def reading(self, solution: Solution, factor: Scalar) -> PolarisedReading:
+        matrix = self.matrix(solution)[0]
         turn = rotation(jnp.zeros_like(self.azimuth) if self.cos_exit is None else -self.azimuth)
         sent = matrix @ self.light()
         stokes = sent @ turn.T
@@ -187,7 +189,7 @@ class Polarimeter(PolarisedInstrument):
         by_stokes = jnp.concatenate([-degree[:, None], along, 0 * degree[:, None]], -1)
         gradient = (by_stokes @ turn / intensity[:, None])[:, :, None] * self.light()
         return self.result(
-            light, factor, degree, self.error(light, gradient), PolarisedReading,
+            solution, factor, degree, self.error(solution, gradient), PolarisedReading,
             quantity="degree of linear polarisation", unit="",
             angle=0.5 * arctan2(stokes[:, 2], stokes[:, 1]), stokes=factor * self.gain * stokes,
         )  # fmt: skip

@@ -28,7 +28,7 @@ class Range(NamedTuple):
         return np.isfinite(value) & enough & (value <= self.high)
 
 
-def check_range(name: str, value: Any, allowed: Range) -> None:
+def check_range(name: str, value: object, allowed: Range) -> None:
     """Raise `ValueError` naming the first concrete value that is not finite or not in range.
 
     Traced values pass: nothing can be known of them. `None` is an absent part and passes too.
@@ -42,7 +42,7 @@ def check_range(name: str, value: Any, allowed: Range) -> None:
         raise ValueError(f"{name} = {_shown(v[~good].flat[0])}{unit} is outside {allowed}")
 
 
-def check_whole(name: str, value: Any, low: int, high: float = np.inf) -> None:
+def check_whole(name: str, value: object, low: int, high: float = np.inf) -> None:
     """Raise `ValueError` unless a setting is a whole number in [low, high]."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):
         raise ValueError(f"{name} = {value!r} is not a whole number")
@@ -57,14 +57,14 @@ def check_known(what: str, name: str, known: Collection[str]) -> None:
         raise ValueError(f"unknown {what} {name!r}{hint} known: {', '.join(known) or 'none'}")
 
 
-def check_fields(module: Any, ranges: dict[str, Range]) -> None:
+def check_fields(module: object, ranges: dict[str, Range]) -> None:
     """`check_range` of every field of a module that has a range."""
     for name, allowed in ranges.items():
         if hasattr(module, name):
             check_range(name, getattr(module, name), allowed)
 
 
-def check_scalars(module: Any, names: Iterable[str]) -> None:
+def check_scalars(module: object, names: Iterable[str]) -> None:
     """Raise `ValueError` naming the first of these fields that is an array, not one number."""
     for name in names:
         shape = np.shape(getattr(module, name))

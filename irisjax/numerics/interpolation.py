@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-Reals = Float[Array, "..."]
+_Reals = Float[Array, "..."]
 
 
-def horner(t: Reals, coefficients: Sequence[Any]) -> Reals:
+def horner(t: _Reals, coefficients: Sequence[Any]) -> _Reals:
     """Polynomial in `t` with these coefficients, numbers or arrays, the lowest power first."""
     out = coefficients[-1]
     for c in coefficients[-2::-1]:
@@ -20,7 +20,7 @@ def horner(t: Reals, coefficients: Sequence[Any]) -> Reals:
     return out
 
 
-def chebyshev(t: Reals, count: int) -> tuple[list[Reals], list[Reals]]:
+def chebyshev(t: _Reals, count: int) -> tuple[list[_Reals], list[_Reals]]:
     """The first `count` (two at least) Chebyshev polynomials T_k at `t`, and their derivatives."""
     values, slopes = [jnp.ones_like(t), t], [jnp.zeros_like(t), jnp.ones_like(t)]
     for _ in range(count - 2):
@@ -66,13 +66,13 @@ def chebyshev_nodes(n: int) -> np.ndarray:
     return np.cos(np.pi * (np.arange(n) + 0.5) / n)
 
 
-def smoothstep(x: Reals) -> Reals:
+def smoothstep(x: _Reals) -> _Reals:
     """Smooth rise from 0 at x = 0 to 1 at x = 1."""
     x = jnp.clip(x, 0.0, 1.0)
     return x * x * (3 - 2 * x)
 
 
-def piecewise_linear(x: Reals, grid: np.ndarray, values: np.ndarray, *, outside: float) -> Reals:
+def piecewise_linear(x: _Reals, grid: np.ndarray, values: np.ndarray, *, outside: float) -> _Reals:
     """Linear interpolation in a table at traced places; `outside` of it, and where x is NaN.
 
     `grid` (increasing) and `values` are host arrays. It is a sum of hat functions, which is
@@ -90,8 +90,12 @@ def piecewise_linear(x: Reals, grid: np.ndarray, values: np.ndarray, *, outside:
 
 
 def bilinear(
-    texture: Float[Array, "*c rows columns"], row: Reals, column: Reals, *, round_rows: bool = False
-) -> Reals:
+    texture: Float[Array, "*c rows columns"],
+    row: _Reals,
+    column: _Reals,
+    *,
+    round_rows: bool = False,
+) -> _Reals:
     """Linear interpolation at fractional indices, held at the ends; rows may run round instead."""
     rows, columns = texture.shape[-2:]
     if round_rows:
@@ -109,7 +113,9 @@ def bilinear(
     return jnp.stack(found).reshape(*texture.shape[:-2], *row.shape)
 
 
-def polar_bilinear(texture: Float[Array, "*c angles radii"], angle: Reals, radius: Reals) -> Reals:
+def polar_bilinear(
+    texture: Float[Array, "*c angles radii"], angle: _Reals, radius: _Reals
+) -> _Reals:
     """Linear interpolation between cell centres, round in `angle` (radians) and held at the ends of
     `radius` (0 pupil's edge, 1 root).
     """

@@ -65,7 +65,7 @@ class Pixelwise(Generic[P, *Rest, T]):
     def __init__(self, f: Callable[[P, Unpack[Rest]], T]):
         functools.update_wrapper(self, f)
 
-        def chunked(pixels: P, others: tuple[*Rest], share: Array | None, shares: int) -> T:
+        def chunked(pixels: P, others: tuple[*Rest], share: Any, shares: int) -> T:
             def one(some: P) -> T:
                 return f(some, *others)
 
@@ -140,7 +140,7 @@ def _threads(pixels: object, others: object) -> int:
     return 1 << (min(cores, 8).bit_length() - 1)
 
 
-def _share_of(f: Callable[[P], T], pixels: P, share: Array | int | None, shares: int) -> T:
+def _share_of(f: Callable[[P], T], pixels: P, share: Array | int, shares: int) -> T:
     """Apply `f` to the chunks that belong to number `share` of several."""
     count = _count(pixels)
     size = min(_SIZE, count)

@@ -8,12 +8,15 @@ starts near 0.
 
 import math
 from functools import lru_cache
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+
+from irisjax._types import AnyReals
 
 # Grading of a panel that starts at 0; found by a scan over maps and depths τ from 1e-4 to 30.
 _GRADING = 3.0
@@ -24,7 +27,6 @@ if TYPE_CHECKING:
     AnyArray: TypeAlias = Array
 else:
     AnyArray = Array | np.ndarray  # a rule of constants can be built on the host
-AnyReals: TypeAlias = Float[Array | np.ndarray, "..."] | float
 
 
 class CosineRule(eqx.Module):
@@ -78,7 +80,7 @@ def conserving(rule: CosineRule) -> CosineRule:
     return eqx.tree_at(lambda r: r.weight, rule, w + w * (a + b * square))
 
 
-def graded(x: AnyReals, start_squared: AnyReals, xp: Any = jnp) -> tuple[Any, Any]:
+def graded(x: AnyReals, start_squared: AnyReals, xp: ModuleType = jnp) -> tuple[Any, Any]:
     """Map [0, 1] onto itself, dense near 0 if the panel starts near 0; returns value and slope.
 
     g(x) = (e^{κy} − 1)/(e^κ − 1), y = (1−β)x² + βx, κ = 3(1−β) + β, β → 1 away from 0.
@@ -91,7 +93,7 @@ def graded(x: AnyReals, start_squared: AnyReals, xp: Any = jnp) -> tuple[Any, An
 
 
 def graded_rise(
-    x: AnyReals, to: AnyReals, step: AnyReals, start_squared: AnyReals, xp: Any = jnp
+    x: AnyReals, to: AnyReals, step: AnyReals, start_squared: AnyReals, xp: ModuleType = jnp
 ) -> Any:
     """Compute g(to) − g(x) of `graded` without cancellation; `step` is to − x without rounding."""
     beta, kappa = _grading(start_squared)

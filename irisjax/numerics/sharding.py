@@ -5,14 +5,16 @@ carry and what an inner function closes over keep one such type, so it is given 
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 import jax
 from jax import Array, lax
 from jax.sharding import AxisType, PartitionSpec
 
+_T = TypeVar("_T")
 
-def vary_alike(tree: Any, *others: Any) -> Any:
+
+def vary_alike(tree: _T, *others: object) -> _T:
     """Type the arrays of `tree` to vary over each mesh axis that any array given here varies over.
 
     Outside `jax.shard_map` this is `tree` itself.
@@ -28,7 +30,7 @@ def vary_alike(tree: Any, *others: Any) -> Any:
     return jax.tree.map(widened, tree)
 
 
-def laid_out(function: Callable[..., Any], like: Array, *arguments: Any) -> Any:
+def laid_out(function: Callable[..., Any], like: Array, *arguments: object) -> Any:
     """Return `function(*arguments)`, layouts inside left to the compiler on explicit meshes.
 
     Look-ups, and reshapes of several axes at once, have no layout that follows from their inputs'.
@@ -48,12 +50,12 @@ def laid_out(function: Callable[..., Any], like: Array, *arguments: Any) -> Any:
     return jax.sharding.auto_axes(function, out_sharding=specs)(*arguments)
 
 
-def _axes(x) -> frozenset:
+def _axes(x) -> frozenset[str]:
     kind = jax.typeof(x)
     # Since JAX 0.10 in a field of its own.
     return frozenset(kind.vma if hasattr(kind, "vma") else kind.mat.varying)
 
 
-def _widened(x, axes: tuple):
+def _widened(x, axes: tuple[str, ...]):
     # JAX before 0.8 has `pvary` only.
     return lax.pcast(x, axes, to="varying") if hasattr(lax, "pcast") else lax.pvary(x, axes)  # pyright: ignore[reportAttributeAccessIssue]

@@ -6,11 +6,11 @@ left is a small core tensor [Tucker 1966, Psychometrika 31, 279; De Lathauwer, D
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_series
@@ -27,7 +27,7 @@ class Tucker(eqx.Module):
     core: Float[Array, "..."]
 
     @classmethod
-    def of(cls, values: np.ndarray, tolerance: float, dtype: Any) -> "Tucker":
+    def of(cls, values: np.ndarray, tolerance: float, dtype: DTypeLike) -> "Tucker":
         """Of values at `chebyshev_nodes` of every axis, shape (nodes of each axis …, functions).
 
         Each function is scaled by its largest value for the choice of ranks; what is left out of an

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
@@ -128,7 +129,7 @@ def profile_of(eye: Eye) -> Cones:
     return Cones(eye.iris_depth + slope * radius, radius)
 
 
-def texels(size: int, dtype: Any = float) -> Sequence[np.ndarray]:
+def texels(size: int, dtype: DTypeLike = float) -> Sequence[np.ndarray]:
     """x and y, in outer radii of the iris, of the columns and rows of a square picture of it."""
     line = ((2 * np.arange(size) + 1) / size - 1).astype(dtype)
     return np.meshgrid(line, -line, sparse=True)

@@ -287,7 +287,7 @@ def _paint_over(
 
 @eqx.filter_jit
 def _light_under(
-    light: Array, crossed: tuple, colours: tuple[Array, ...], as_printed: bool
+    light: Array, crossed: tuple[Array, ...], colours: tuple[Array, ...], as_printed: bool
 ) -> Float[Array, "lights rows columns channels"]:
     """Maps of light below a group of coats."""
     for opacity, colour in zip(crossed, colours, strict=True):

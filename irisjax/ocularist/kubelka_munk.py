@@ -79,7 +79,7 @@ class KubelkaMunkMixer(mixing.AbstractMixer):
         paints = *mixing.PAINTS, *mixing.FURTHER_PAINTS
         return cls(paints, tuple(table[0].tolist()), table[1::2], table[2::2])
 
-    def with_paints(self, colours: Mapping[str, Any]) -> "KubelkaMunkMixer":
+    def with_paints(self, colours: Mapping[str, object]) -> "KubelkaMunkMixer":
         """See `AbstractMixer`. K of the added paints is constructed (`constructed_absorption`); S
         is that of the paint they replace, or `USUAL_SCATTERING`.
         """

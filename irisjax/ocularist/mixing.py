@@ -64,7 +64,7 @@ class AbstractMixer(eqx.Module):
     paints: eqx.AbstractVar[tuple[str, ...]]
 
     @abc.abstractmethod
-    def with_paints(self, colours: Mapping[str, Any]) -> "AbstractMixer":
+    def with_paints(self, colours: Mapping[str, object]) -> "AbstractMixer":
         """The mixer with paints added or replaced; colours as for `linear_colour`."""
 
     @abc.abstractmethod
@@ -143,7 +143,7 @@ class HslMixer(AbstractMixer):
         return cls.of(PAINTS)
 
     @classmethod
-    def of(cls, colours: Mapping[str, Any]) -> "HslMixer":
+    def of(cls, colours: Mapping[str, object]) -> "HslMixer":
         """A mixer of paints given by name; colours as for `linear_colour`.
 
         Raises:
@@ -154,7 +154,7 @@ class HslMixer(AbstractMixer):
         linear = np.stack([linear_colour(*paint) for paint in colours.items()])
         return cls(tuple(colours), jnp.asarray(linear, jnp.result_type(float)))
 
-    def with_paints(self, colours: Mapping[str, Any]) -> "HslMixer":
+    def with_paints(self, colours: Mapping[str, object]) -> "HslMixer":
         """See `AbstractMixer`."""
         paints = dict(zip(self.paints, rows(self.colours), strict=True))
         dtype = self.colours.dtype
@@ -172,7 +172,7 @@ def rows(table: Array | np.ndarray) -> Array | np.ndarray:
     return table if isinstance(table, Tracer) else np.asarray(table)
 
 
-def linear_colour(name: str, colour: Any) -> np.ndarray:
+def linear_colour(name: str, colour: object) -> np.ndarray:
     """Linear sRGB, shape (3,), of `#rrggbb` or three numbers from 0 to 255.
 
     Raises:

@@ -11,13 +11,12 @@ output (the tables of an eye would take 15 times as long).
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from irisjax._types import Scalar, as_float
+from irisjax._types import Real, Scalar, as_float
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.fresnel import fresnel
 
@@ -120,7 +119,7 @@ def norm(a: Float[Array, "*s n"]) -> Float[Array, "*s"]:
 
 
 def refract_vector(
-    direction: Vector, normal: Vector, n_in: Any, n_out: Any
+    direction: Vector, normal: Vector, n_in: Real, n_out: Real
 ) -> tuple[Vector, Float[Array, "*s"]]:
     """Refract unit vectors at an interface whose unit normals point to where they come from.
 

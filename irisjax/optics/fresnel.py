@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Complex, Float
 
+from irisjax._types import Real
 from irisjax.numerics.quadrature import CosineRule
 from irisjax.numerics.roots import safe_sqrt
 
@@ -17,7 +18,7 @@ Cosine = Float[Array, "*s"]
 Shares = tuple[Array, Array]
 
 
-def critical_cosine_squared(n_in: Any, n_out: Any) -> Any:
+def critical_cosine_squared(n_in: Real, n_out: Real) -> Any:
     """Compute the square of the critical cosine, below which the interface reflects totally.
 
     It is negative if the interface never does. With this c² Snell's law is μ_out² = (n_in/n_out)²
@@ -26,12 +27,12 @@ def critical_cosine_squared(n_in: Any, n_out: Any) -> Any:
     return (n_in - n_out) * (n_in + n_out) / (n_in * n_in)
 
 
-def refract(cos_in: Float[Array, "*s"], n_in: Any, n_out: Any) -> Float[Array, "*s"]:
+def refract(cos_in: Float[Array, "*s"], n_in: Real, n_out: Real) -> Float[Array, "*s"]:
     """Compute the cosine after refraction by Snell's law; 0 under total internal reflection."""
     return n_in / n_out * safe_sqrt(cos_in * cos_in - critical_cosine_squared(n_in, n_out))
 
 
-def fresnel(cos_in: Cosine, cos_out: Cosine, n_in: Any, n_out: Any) -> Shares:
+def fresnel(cos_in: Cosine, cos_out: Cosine, n_in: Real, n_out: Real) -> Shares:
     """Compute reflectance F and transmittance 1 − F of unpolarised light from `n_in` into `n_out`.
 
     `cos_out` is the refracted cosine, 0 under total internal reflection. The transmittance has its
@@ -41,12 +42,12 @@ def fresnel(cos_in: Cosine, cos_out: Cosine, n_in: Any, n_out: Any) -> Shares:
     return 0.5 * (s[0] + p[0]), 0.5 * (s[1] + p[1])
 
 
-def fresnel_s(cos_in: Cosine, cos_out: Cosine, n_in: Any, n_out: Any) -> Shares:
+def fresnel_s(cos_in: Cosine, cos_out: Cosine, n_in: Real, n_out: Real) -> Shares:
     """Compute `fresnel` for a field perpendicular to the plane of incidence."""
     return _shares(cos_in, cos_out, n_in, n_out, n_in, n_out)
 
 
-def fresnel_p(cos_in: Cosine, cos_out: Cosine, n_in: Any, n_out: Any) -> Shares:
+def fresnel_p(cos_in: Cosine, cos_out: Cosine, n_in: Real, n_out: Real) -> Shares:
     """Compute `fresnel` for a field in the plane of incidence."""
     return _shares(cos_in, cos_out, n_in, n_out, n_out, n_in)
 
@@ -67,7 +68,7 @@ class Coherence(NamedTuple):
     contrast: Float[Array, "*s"]
 
 
-def coherence(cos_in: Cosine, cos_out: Cosine, n_in: Any, n_out: Any) -> Coherence:
+def coherence(cos_in: Cosine, cos_out: Cosine, n_in: Real, n_out: Real) -> Coherence:
     """`Coherence` at an interface from `n_in` into `n_out`; `cos_out` as in `fresnel`.
 
     Where all is reflected, p runs ahead of s by 2 arctan(μ √(c² − μ²)/(1 − μ²)), c the critical
@@ -93,12 +94,12 @@ def coherence(cos_in: Cosine, cos_out: Cosine, n_in: Any, n_out: Any) -> Coheren
     )
 
 
-def fresnel_at(cos_in: Cosine, n_in: Any, n_out: Any) -> Shares:
+def fresnel_at(cos_in: Cosine, n_in: Real, n_out: Real) -> Shares:
     """Compute `fresnel` with the refracted cosine by Snell's law."""
     return fresnel(cos_in, refract(cos_in, n_in, n_out), n_in, n_out)
 
 
-def refracted(rule: CosineRule, k: int, n_in: Any, n_out: Any) -> Float[Array, " n"]:
+def refracted(rule: CosineRule, k: int, n_in: Real, n_out: Real) -> Float[Array, " n"]:
     """Compute the cosines of a rule's nodes behind interface `k`; 0 under total reflection."""
     return n_in / n_out * safe_sqrt(rule.excess[k])
 

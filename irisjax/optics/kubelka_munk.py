@@ -7,8 +7,10 @@ from typing import Any
 
 import jax.numpy as jnp
 
+from irisjax._types import AnyReals
 
-def thick_layer(absorption: Any, scattering: Any, xp: Any = jnp) -> Any:
+
+def thick_layer(absorption: AnyReals, scattering: AnyReals, xp: Any = jnp) -> Any:
     """Reflectance R∞ = 1 + K/S − √((K/S)² + 2K/S)  [Kubelka & Munk 1931].
 
     Written as S/(K + S + √(K(K + 2S))), in which nothing cancels and S may be 0: black, and so is a
@@ -27,12 +29,12 @@ def thick_layer(absorption: Any, scattering: Any, xp: Any = jnp) -> Any:
     return scattering / xp.where(total != 0, total, 1.0)
 
 
-def absorption_of(reflectance: Any, scattering: Any) -> Any:
+def absorption_of(reflectance: AnyReals, scattering: AnyReals) -> Any:
     """K of a thick layer: S (1 − R∞)²/2R∞  [Kubelka & Munk 1931]."""
     return scattering * (1 - reflectance) ** 2 / (2 * reflectance)
 
 
-def under_surface(inner: Any, outside: Any, inside: Any) -> Any:
+def under_surface(inner: AnyReals, outside: AnyReals, inside: AnyReals) -> Any:
     """Reflectance of a layer under a smooth surface, without the light that the surface mirrors:
     (1 − k₁)(1 − k₂) R/(1 − k₂ R)  [Saunderson 1942].
 
@@ -42,6 +44,6 @@ def under_surface(inner: Any, outside: Any, inside: Any) -> Any:
     return (1 - outside) * (1 - inside) * inner / (1 - inside * inner)
 
 
-def without_surface(reflectance: Any, outside: Any, inside: Any) -> Any:
+def without_surface(reflectance: AnyReals, outside: AnyReals, inside: AnyReals) -> Any:
     """The inverse of `under_surface`: R of the layer alone."""
     return reflectance / ((1 - outside) * (1 - inside) + inside * reflectance)

@@ -1,13 +1,11 @@
 """A phase function for tissue: a share of Rayleigh's law, the rest Henyey and Greenstein's."""
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool
 
-from irisjax._types import Spectrum
+from irisjax._types import AnyReals, Real, Spectrum
 from irisjax.optics.phase import PHASES, rayleigh
 
 _MEANS = 7  # arithmetic–geometric means; each doubles the digits
@@ -33,12 +31,12 @@ class PhaseMixture(eqx.Module):
         s, g = self.rayleigh, self.anisotropy
         return ((s >= 0) & (s <= 1) & (jnp.abs(g) < 1)).all()
 
-    def value(self, cosine: Any) -> Array:
+    def value(self, cosine: Real) -> Array:
         """p at cosines of the scattering angle."""
         s = self.rayleigh
         return s * rayleigh(cosine) + (1 - s) * henyey_greenstein(cosine, self.anisotropy)
 
-    def mean_over_azimuth(self, centre: Any, reach: Any) -> Array:
+    def mean_over_azimuth(self, centre: Real, reach: Real) -> Array:
         """Mean of p over azimuth φ where the cosine of the scattering angle is `centre` + `reach`
         cos φ, `reach` ≥ 0.
         """
@@ -67,7 +65,7 @@ class PhaseMixture(eqx.Module):
         f = peak[..., None]
         return (self.moments(count) - f) / (1 - f), peak
 
-    def sample_cosine(self, u: Any) -> Array:
+    def sample_cosine(self, u: Real) -> Array:
         """Cosine of the scattering angle from a uniform number in [0, 1]."""
         s = self.rayleigh
         of_rayleigh = PHASES["rayleigh"].sample_cosine(jnp.clip(u / jnp.maximum(s, 1e-30), 0, 1))
@@ -75,20 +73,20 @@ class PhaseMixture(eqx.Module):
         return jnp.where(u < s, of_rayleigh, sample_henyey_greenstein(v, self.anisotropy))
 
 
-def henyey_greenstein(cosine: Any, g: Any) -> Array:
+def henyey_greenstein(cosine: AnyReals, g: Real) -> Array:
     """(1 − g²)/(1 + g² − 2g cos Θ)^{3/2}  [Henyey & Greenstein 1941, Eq. 2]."""
     base = _base(cosine, g)
     return (1 - g) * (1 + g) / (base * jnp.sqrt(base))
 
 
-def _base(cosine, g):
+def _base(cosine: AnyReals, g: Real) -> Array:
     """1 + g² − 2g cos Θ, written round the peak, where that cancels."""
     size = jnp.where(g < 0, -g, g)  # whose derivative at 0 is that from above, as `towards` is
     towards = jnp.where(g < 0, 1 + cosine, 1 - cosine)
     return (1 - size) ** 2 + 2 * size * towards
 
 
-def mean_henyey_greenstein(centre: Any, reach: Any, g: Any) -> Array:
+def mean_henyey_greenstein(centre: Real, reach: Real, g: Real) -> Array:
     """Over azimuth: ∫ (a − b cos φ)^{−3/2} dφ/2π = (2/π) E(m)/((a − b) √(a + b)), m = 2b/(a + b)
     [DLMF 19.2.8 with 19.4].
     """
@@ -108,7 +106,7 @@ def _elliptic_e(complement):
     return (1 - total) / a
 
 
-def sample_henyey_greenstein(u: Any, g: Any) -> Array:
+def sample_henyey_greenstein(u: Real, g: Real) -> Array:
     """The inverse distribution function of the cosine, without the division by g of its usual form.
 
     [Henyey & Greenstein 1941, Eq. 2]

@@ -6,19 +6,18 @@ with fields ∝ e^{−iωt}; the axes and the ray are right-handed in this order
 first axis lies in the plane of incidence. [Chandrasekhar 1960, Section 15]
 """
 
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from irisjax._types import Real
 from irisjax.optics.fresnel import coherence, fresnel_p, fresnel_s, refract
 
 _TO_STOKES = np.array([[1.0, 1, 0, 0], [1, -1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 _TO_INTENSITIES = np.linalg.inv(_TO_STOKES)
 
 
-def reflection(cos_in: Float[Array, "*s"], n_in: Any, n_out: Any) -> Float[Array, "*s 4 4"]:
+def reflection(cos_in: Float[Array, "*s"], n_in: Real, n_out: Real) -> Float[Array, "*s 4 4"]:
     """Of flux that a smooth interface mirrors, total reflection included. [Fresnel]"""
     cos_out = refract(cos_in, n_in, n_out)
     p, s = (law(cos_in, cos_out, n_in, n_out)[0] for law in (fresnel_p, fresnel_s))

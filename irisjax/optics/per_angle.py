@@ -11,6 +11,7 @@ nodes of that integration lie at fixed x, so that only the kernel depends on whe
 
 import functools
 import itertools
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import jax
@@ -18,6 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from irisjax._types import AnyReals
 from irisjax.numerics.quadrature import CosineRule, gauss_legendre, graded, graded_rise
 
 
@@ -45,7 +47,12 @@ def scattering_operator(rule: CosineRule) -> Float[Array, "n n"]:
 
 
 def averaged_kernel(
-    mu: Any, other: Any, sine_square: Any, other_sine_square: Any, difference: Any, xp: Any = jnp
+    mu: AnyReals,
+    other: AnyReals,
+    sine_square: AnyReals,
+    other_sine_square: AnyReals,
+    difference: AnyReals,
+    xp: ModuleType = jnp,
 ) -> Any:
     """k from μ, μ', 1 − μ², 1 − μ'² and |μ² − μ'²| > 0, each as exact as the caller knows it.
 
@@ -78,7 +85,7 @@ def _azimuths(bits: int) -> tuple[np.ndarray, np.ndarray]:
     return 2 * np.sin(np.pi / 4 * g) ** 2, np.pi / 2 * w * slope
 
 
-def _product_integrated(starts, widths, m: int, xp: Any):
+def _product_integrated(starts, widths, m: int, xp: ModuleType):
     """The operator of panels with `m` nodes each."""
     panels, dtype, lagrange = starts.shape[0], starts.dtype, _lagrange(m)
     x = gauss_legendre(m)[0][:, None]

@@ -11,6 +11,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from irisjax._types import Real
 from irisjax.numerics.interpolation import horner
 from irisjax.numerics.quadrature import CosineRule
 from irisjax.optics.per_angle import scattering_operator
@@ -111,7 +112,7 @@ class RayleighPerAngle(AbstractPhase):
         return Redistribution(collect=None, scatter=operator.T - 0.5 * weight[:, None])
 
 
-def rayleigh(cosine: Any) -> Any:
+def rayleigh(cosine: Real) -> Any:
     """Compute Rayleigh's law, ¾(1 + cos²α), whose mean over all directions is 1."""
     return 0.75 * (1 + cosine * cosine)
 

@@ -283,8 +283,9 @@ def _pupil_on_iris(eye: Eye, camera: Camera, pupil: Ellipse):
     turn = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     # The outline need not enclose the axis: it is intersected by rays from its own middle.
     radius = np.linspace(0.1, 0.95 * float(eye.iris_radius), 33)
-    centre, towards = np.zeros(2), (np.cos(turn), np.sin(turn))
+    solved, towards = np.zeros(3), (np.cos(turn), np.sin(turn))
     for _ in range(2):
+        centre = solved[:2]
         x, y = (c + np.outer(d, radius) for c, d in zip(centre, towards, strict=True))
         column, row, visible = project_iris_points(eye, camera, iris_points(eye, x, y))
         place = np.where(visible, pupil.relative_radius(column, row), np.inf)
@@ -296,15 +297,14 @@ def _pupil_on_iris(eye: Eye, camera: Camera, pupil: Ellipse):
         edge = centre + np.stack([met * np.cos(turn), met * np.sin(turn)], -1)
         system = np.column_stack([2 * edge, np.ones(len(edge))])
         solved = np.linalg.lstsq(system, (edge**2).sum(1), rcond=None)[0]
-        centre = solved[:2]
-    found = float(np.sqrt(solved[2] + centre @ centre))
+    found = float(np.sqrt(solved[2] + solved[:2] @ solved[:2]))
     low, high = _PUPIL_RADII[0], min(_PUPIL_RADII[1], float(eye.iris_radius) - 0.3)
     if not low < found < high:
         raise ValueError(
             f"the outlines make the pupil's radius {found:.2f} mm; it must be within "
             f"{low:g} to {high:g} mm"
         )
-    return (centre[0], centre[1]), found
+    return (solved[0], solved[1]), found
 
 
 @eqx.filter_jit

@@ -98,7 +98,9 @@ class Refraction(NamedTuple):
     row: Brightness
     visible: Mask
 
-    def pixels(self, texels: Any, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    def pixels(
+        self, texels: Mask | tuple[np.ndarray, np.ndarray], shape: tuple[int, int]
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return rows and columns of the pixels of a part of some `shape` in which texels appear,
         given as a mask or as indices of rows and columns.
         """
@@ -177,7 +179,9 @@ def pixels_shown(view: View, visible: Mask, shape: tuple[int, int]) -> np.ndarra
     return onto_picture(seen, visible[row, column].astype(np.float32), shape) > 0.5
 
 
-def sampled(picture: Shaped[np.ndarray, "rows columns"], row: Any, column: Any) -> np.ndarray:
+def sampled(
+    picture: Shaped[np.ndarray, "rows columns"], row: np.ndarray, column: np.ndarray
+) -> np.ndarray:
     """Return a picture's values at rows and columns, interpolated linearly and constant beyond."""
     return ndimage.map_coordinates(picture, np.stack([row, column]), order=1, mode="nearest")
 

@@ -233,7 +233,7 @@ def iris_alone(pose: Pose) -> np.ndarray:
     shines through at the limbus.
     """
     rows, columns = pose.camera.shape
-    every = np.arange(rows * columns, dtype=np.int32)
+    every = jnp.arange(rows * columns, dtype=jnp.int32)
     seen = np.asarray(project.seen_parts(every, pose.eye, pose.camera))
     return (seen & (IRIS | SCLERA) == IRIS).reshape(rows, columns)
 

@@ -20,7 +20,7 @@ Later = Callable[[], bytes]
 """Waits for a picture's bytes."""
 
 
-def here(name: str, *args: Any) -> Later:
+def here(name: str, *args: object) -> Later:
     """Return a function that draws `irisjax.plot`'s figure of that name as PNG in this process."""
     return lambda: irisjax.plot.picture(getattr(irisjax.plot, name)(*args), ".png")
 

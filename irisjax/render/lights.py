@@ -1,5 +1,6 @@
 """Lights: distant or at a place, any number, of one spectrum."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -8,7 +9,7 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
 
-from irisjax._types import as_float, as_float_or_none
+from irisjax._types import Reals, as_float, as_float_or_none
 from irisjax.numerics.checks import Range, check_range
 from irisjax.optics.conicoid import Parts, parts
 from irisjax.render.refraction import direction_of
@@ -53,11 +54,11 @@ class Lights(eqx.Module):
     @classmethod
     def distant(
         cls,
-        polar: Any,
-        azimuth: Any,
-        irradiance: Any = jnp.pi,
+        polar: Reals,
+        azimuth: Reals,
+        irradiance: Reals = jnp.pi,
         *,
-        radius: Any = 0.03,
+        radius: Reals = 0.03,
         illuminant: str = "D65",
     ) -> "Lights":
         """Lights at infinity: `polar` angles from the eye's axis and `azimuth` from +x to +y,
@@ -71,7 +72,12 @@ class Lights(eqx.Module):
 
     @classmethod
     def points(
-        cls, position: Any, irradiance: Any = jnp.pi, *, radius: Any = 0.03, illuminant: str = "D65"
+        cls,
+        position: Reals | Sequence[Sequence[float]],
+        irradiance: Reals = jnp.pi,
+        *,
+        radius: Reals = 0.03,
+        illuminant: str = "D65",
     ) -> "Lights":
         """Lights at places (lights, 3), mm in the eye's frame, 20 or more from the apex, where
         `irradiance` is theirs.

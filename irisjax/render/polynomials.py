@@ -134,13 +134,13 @@ def polynomials(x: Float[Array, " pixels"], count: int) -> Float[Array, "count p
 _BEND = 3.0
 
 
-def from_unit(span: Any, x: Float[Array, "*s"]) -> Float[Array, "*s"]:
+def from_unit(span: Float[Array, "2"], x: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Scale within `span` at x in [−1, 1]."""
     low, high = (jnp.log1p(_BEND * s) for s in span)
     return jnp.expm1(low + (x + 1) * ((high - low) / 2)) / _BEND
 
 
-def to_unit(span: Any, scale: Float[Array, "*s"]) -> Float[Array, "*s"]:
+def to_unit(span: Float[Array, "2"], scale: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Place of a scale in [−1, 1], of those outside `span` its ends."""
     low, high = (jnp.log1p(_BEND * s) for s in span)
     return jnp.clip((jnp.log1p(_BEND * scale) - low) * (2 / (high - low)) - 1, -1, 1)

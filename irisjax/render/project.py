@@ -129,7 +129,7 @@ def project(eye: Eye, camera: Camera) -> View:
     rows, columns = camera.shape
     index = jnp.arange(rows * columns, dtype=jnp.int32)
     film, white = eye.cornea is not None, eye.cornea is not None and eye.sclera is not None
-    parts = (iris_pixels, True), (sclera_pixels, white), (mirror_pixels, film)
+    parts: Any = (iris_pixels, True), (sclera_pixels, white), (mirror_pixels, film)
     found = (pixels(index, eye, camera) if there else None for pixels, there in parts)
     every = (None if p is None else dataclasses.replace(p, index=None) for p in found)
     return View(*every, size=(columns, rows))
@@ -143,7 +143,7 @@ def look(eye: Eye, camera: Camera) -> View:
     rows, columns = camera.shape
     count = rows * columns
     every = np.arange(count, dtype=np.int32)
-    sees = np.asarray(seen_parts(every, eye, camera))
+    sees = np.asarray(seen_parts(jnp.asarray(every), eye, camera))
 
     def of(part: int, pixels: Callable[..., Any]) -> Any:
         index = np.flatnonzero(sees & part)
@@ -166,7 +166,7 @@ def look(eye: Eye, camera: Camera) -> View:
 
 
 @pixelwise
-def seen_parts(index: Any, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]:
+def seen_parts(index: Array, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]:
     """What each pixel sees: a sum of `IRIS`, `SCLERA` and `MIRROR`."""
     origin, direction = camera.towards(index, eye)
     if eye.cornea is None:
@@ -177,7 +177,7 @@ def seen_parts(index: Any, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]:
 
 
 @pixelwise
-def iris_pixels(index: Any, eye: Eye, camera: Camera) -> IrisPixels:
+def iris_pixels(index: Array, eye: Eye, camera: Camera) -> IrisPixels:
     """Pixels of these numbers as those that see the iris; those that do not get a share of 0."""
     origin, direction = camera.towards(index, eye)
     # Any line of sight to a point that is no edge instead: derivatives are finite there.
@@ -201,7 +201,7 @@ def iris_pixels(index: Any, eye: Eye, camera: Camera) -> IrisPixels:
 
 
 @pixelwise
-def sclera_pixels(index: Any, eye: Eye, camera: Camera) -> ScleraPixels:
+def sclera_pixels(index: Array, eye: Eye, camera: Camera) -> ScleraPixels:
     """Pixels of these numbers as those that see the white."""
     outside, _, reflectance = _film(index, eye, camera)
     share = jnp.where(outside.hit, outside.blend, 0.0)
@@ -212,7 +212,7 @@ def sclera_pixels(index: Any, eye: Eye, camera: Camera) -> ScleraPixels:
 
 
 @pixelwise
-def mirror_pixels(index: Any, eye: Eye, camera: Camera) -> MirrorPixels:
+def mirror_pixels(index: Array, eye: Eye, camera: Camera) -> MirrorPixels:
     """Pixels of these numbers as those that see the tear film."""
     outside, direction, reflectance = _film(index, eye, camera)
     mirror = parts(reflect_vector(direction, outside.normal))

@@ -1,7 +1,6 @@
 """`Scene`: an eye, its lights and a camera."""
 
 import dataclasses
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -104,7 +103,7 @@ class Scene(eqx.Module):
             raise ValueError("the iris is painted: it has no tissue and no pigments")
         return self.iris
 
-    def replace(self, **parts: Any) -> "Scene":
+    def replace(self, **parts: object) -> "Scene":
         """A copy with some parts changed."""
         return dataclasses.replace(self, **parts)
 

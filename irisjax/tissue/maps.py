@@ -80,7 +80,7 @@ class IrisMaps(eqx.Module):
         present = self.present()
         return next(iter(present.values())).shape if present else (2, 2)
 
-    def replace(self, **fields: Any) -> "IrisMaps":
+    def replace(self, **fields: object) -> "IrisMaps":
         """Return a copy with some maps changed."""
         return dataclasses.replace(self, **fields)
 

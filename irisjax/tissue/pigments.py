@@ -3,6 +3,7 @@
 import math
 from functools import lru_cache, partial
 from importlib import resources
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -114,7 +115,7 @@ def _check_inside(x: np.ndarray, span: tuple[float, float], message: str) -> Non
         raise ValueError(f"{message.format(x[bad][0])} ({low:g} to {high:g} nm)")
 
 
-def _interpolate(at) -> dict:
+def _interpolate(at) -> dict[str, Any]:
     return {pigment: at(*_table(pigment)) for pigment in PIGMENTS}
 
 

@@ -6,13 +6,13 @@ tests of `tests/transport` make them again.
 
 import functools
 from importlib import resources
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from irisjax._types import Real
 from irisjax.numerics.tucker import Tucker
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
@@ -48,7 +48,7 @@ def exact_solver(
     raise ValueError(f"no deterministic solver treats {type(process).__name__} processes")
 
 
-def quickest(iris: Iris, aqueous_index: Any, process: AbstractProcess) -> AbstractSolver:
+def quickest(iris: Iris, aqueous_index: Real, process: AbstractProcess) -> AbstractSolver:
     """The solver for many spectra of irides such as this one: its table; `AddingDoubling` for a
     power law of scattering; an exact solver for polarised light, for a pigment epithelium that lets
     light through, and where media guide light so that a table is not good to 1e-4.

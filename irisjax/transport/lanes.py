@@ -9,11 +9,10 @@ nothing else: counts do not depend on lanes, blocks or devices.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
-import jax
 import jax.numpy as jnp
-from jax import lax
+from jax import Array, lax
 
 from irisjax.numerics.interpolation import horner
 from irisjax.numerics.sharding import vary_alike
@@ -27,20 +26,25 @@ FATES = ("mirrored", "reflected", "abl", "stroma", "ipe", "behind")
 MIRRORED, REFLECTED, ABL, STROMA, IPE, BEHIND, RESTING = range(1, 8)  # as coded; 0 is alive
 FRESH, SCATTERED, KEPT = 0, 1, 2  # how the direction of the coming flight comes about
 
+Words: TypeAlias = tuple[Array, Array]
+"""Random words of each lane."""
+Scale: TypeAlias = tuple[Array, ...]
+"""Steps of uniform numbers, and a traced 1."""
+
 
 class LaneLayers(NamedTuple):
     """What a lane's photons meet: depths and albedo at its wavelength (lanes,), indices, entry."""
 
-    abl: jax.Array
-    stroma: jax.Array
-    albedo: jax.Array
-    mirrored: jax.Array  # probability of the first surface, where the direction inside is redrawn
-    incidence: jax.Array  # cosine in the aqueous humour
-    n_aqueous: jax.Array
-    n_abl: jax.Array
-    n_stroma: jax.Array
-    n_ipe: jax.Array
-    ipe: jax.Array | None = None  # depth of a pigment epithelium that is not black
+    abl: Array
+    stroma: Array
+    albedo: Array
+    mirrored: Array  # probability of the first surface, where the direction inside is redrawn
+    incidence: Array  # cosine in the aqueous humour
+    n_aqueous: Array
+    n_abl: Array
+    n_stroma: Array
+    n_ipe: Array
+    ipe: Array | None = None  # depth of a pigment epithelium that is not black
     phase: PhaseMixture | None = None  # of the lane's wavelength, where it is not the process's own
 
 
@@ -52,9 +56,9 @@ class Photon(NamedTuple):
     mirror (sign). One integer is one kernel on CPU; six would be six, each redoing the physics.
     """
 
-    direction: jax.Array  # signed cosine, positive into the eye
+    direction: Array  # signed cosine, positive into the eye
     depth: Any  # optical depth below the stroma's top; `None` in ILIT
-    code: jax.Array
+    code: Array
 
 
 class InLayer(NamedTuple):
@@ -62,40 +66,40 @@ class InLayer(NamedTuple):
     the stroma. There is no second flag where the epithelium is black.
     """
 
-    in_abl: jax.Array
-    in_ipe: jax.Array | None
+    in_abl: Array
+    in_ipe: Array | None
 
     @classmethod
-    def of(cls, code: jax.Array, layers: LaneLayers) -> "InLayer":
+    def of(cls, code: Array, layers: LaneLayers) -> "InLayer":
         """Read it from `Photon.code`."""
         return cls((code & 8) > 0, None if layers.ipe is None else (code & 64) > 0)
 
-    def pick(self, abl: Any, stroma: Any, ipe: Any) -> jax.Array:
+    def pick(self, abl: Any, stroma: Any, ipe: Any) -> Array:
         """What belongs to the layer."""
         if self.in_ipe is not None:
             stroma = jnp.where(self.in_ipe, ipe, stroma)
         return jnp.where(self.in_abl, abl, stroma)
 
-    def leaves(self, down: jax.Array) -> jax.Array:
+    def leaves(self, down: Array) -> Array:
         """Whether who passes the interface ahead leaves the layers that are followed."""
         if self.in_ipe is None:
             return self.in_abl ^ down
         return (self.in_abl & ~down) | (self.in_ipe & down)
 
-    def beyond(self, down: jax.Array, layers: LaneLayers) -> jax.Array:
+    def beyond(self, down: Array, layers: LaneLayers) -> Array:
         """Index on the far side of the interface ahead."""
         above = self.pick(layers.n_aqueous, layers.n_abl, layers.n_stroma)
         return jnp.where(down, self.pick(layers.n_stroma, layers.n_ipe, layers.n_aqueous), above)
 
-    def fate(self, leaves: jax.Array, absorbed: jax.Array, mirrored: jax.Array) -> jax.Array:
+    def fate(self, leaves: Array, absorbed: Array, mirrored: Array) -> Array:
         """Fate of photons that leave the layers, are absorbed in one, or mirrored before them."""
         fate = jnp.where(absorbed, self.pick(ABL, STROMA, IPE), 0)
         fate = jnp.where(leaves, self.pick(REFLECTED, IPE, BEHIND), fate)
         return jnp.where(mirrored, MIRRORED, fate)
 
     def packed(
-        self, fate: Any, passes: jax.Array, down: jax.Array, mode: Any, turned: Any, events: Any
-    ) -> jax.Array:
+        self, fate: Any, passes: Array, down: Array, mode: Any, turned: Any, events: Any
+    ) -> Array:
         """`Photon.code` of who stays here or passes into the next layer."""
         code = fate | mode << 4 | turned.astype(jnp.int32) << 31 | events << 7
         if self.in_ipe is None:
@@ -107,17 +111,17 @@ class InLayer(NamedTuple):
 
 
 def run_lanes(
-    event: Callable,
-    wave_words: tuple[jax.Array, jax.Array],
-    start: jax.Array,
-    stride: jax.Array,
-    last: jax.Array,
+    event: Callable[..., Photon],
+    wave_words: tuple[Array, Array],
+    start: Array,
+    stride: Array,
+    last: Array,
     layers: LaneLayers,
-    scale: Any,
+    scale: Scale,
     *,
     deep: bool,
-    cells: jax.Array | None,
-) -> tuple[jax.Array, jax.Array | None]:
+    cells: Array | None,
+) -> tuple[Array, Array | None]:
     """Run lanes to exhaustion; lane l owns photons start[l], start[l] + stride, ... below last[l].
 
     `wave_words` hold each lane's wavelength key, `cells` bounds of the cosines (exits, 2) in which
@@ -171,7 +175,7 @@ def run_lanes(
     return jnp.stack(tally, -1), None if cell_tally is None else jnp.stack(cell_tally, -1)
 
 
-def draws(words: Any, scale: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
+def draws(words: Words, scale: Scale) -> tuple[Array, Array, Array]:
     """Two uniforms of 23 bits, and the cosine of a uniform azimuth from the 18 bits that are
     left.
     """
@@ -181,13 +185,13 @@ def draws(words: Any, scale: Any) -> tuple[jax.Array, jax.Array, jax.Array]:
     return uniform(words[0] >> 9, scale[0]), uniform(words[1] >> 9, scale[0]), turn
 
 
-def deflect(direction: jax.Array, cosine: jax.Array, azimuth: jax.Array) -> jax.Array:
+def deflect(direction: Array, cosine: Array, azimuth: Array) -> Array:
     """Cosine to the normal after a turn by a polar angle and a cosine of azimuth."""
     across = (1.0 - direction * direction) * (1.0 - cosine * cosine)
     return direction * cosine + azimuth * jnp.sqrt(across)
 
 
-def guided(mu: jax.Array, n_here: Any, n_ahead: Any, n_behind: Any) -> jax.Array:
+def guided(mu: Array, n_here: Any, n_ahead: Any, n_behind: Any) -> Array:
     """Total reflection at both faces. In a layer that cannot turn it, such a ray ends absorbed
     after however many crossings, in the limit without absorption too: say so at once.
     """

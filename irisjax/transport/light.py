@@ -1,12 +1,11 @@
 """Light that falls on the iris, directions of observation, and what the surface mirrors."""
 
-from typing import Any
-
 import equinox as eqx
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
-from irisjax._types import Scalar, Spectrum, as_float, as_float_or_none
+from irisjax._types import Reals, Scalar, Spectrum, as_float, as_float_or_none
 from irisjax.numerics.quadrature import cosine_rule
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel_at
 from irisjax.tissue.indices import RefractiveIndices
@@ -24,7 +23,7 @@ class Directions(eqx.Module):
     cosine: Float[Array, " exits"]
     azimuth: Float[Array, " exits"]
 
-    def __init__(self, cosine: Any, azimuth: Any = 0.0):
+    def __init__(self, cosine: Reals, azimuth: Reals = 0.0):
         cosine, azimuth = (jnp.atleast_1d(as_float(x)) for x in (cosine, azimuth))
         self.cosine, self.azimuth = jnp.broadcast_arrays(cosine, azimuth)
 
@@ -59,7 +58,7 @@ class Light(eqx.Module):
 
 
 def beams_of(
-    light: Light, nodes: int, indices: RefractiveIndices, dtype: Any, interfaces: int = 3
+    light: Light, nodes: int, indices: RefractiveIndices, dtype: DTypeLike, interfaces: int = 3
 ) -> tuple[Array, Array]:
     """Cosines of the light's directions and its shares along them: `nodes` for diffuse light, a few
     more where that makes the shares of their panels even.
@@ -76,7 +75,9 @@ def beams_of(
     return jnp.atleast_1d(jnp.asarray(light.cosine, dtype)), jnp.ones(1, dtype)
 
 
-def first_surface(light: Light, indices: RefractiveIndices, dtype: Any) -> tuple[Array, Array]:
+def first_surface(
+    light: Light, indices: RefractiveIndices, dtype: DTypeLike
+) -> tuple[Array, Array]:
     """Shares of the light mirrored by and passing the interface of aqueous humour and ABL."""
     if light.cosine is None:
         mu, w = beams_of(light, 48, indices, dtype, interfaces=1)

@@ -84,7 +84,13 @@ class MonteCarlo(AbstractSolver):
         return self.summarise(self.count(layers, light, key=key), layers, light.exits)
 
     def count(
-        self, layers: Layers, light: Light, *, key: PRNGKey | None, first: Any = 0, last: Any = None
+        self,
+        layers: Layers,
+        light: Light,
+        *,
+        key: PRNGKey | None,
+        first: Array | int = 0,
+        last: Array | int | None = None,
     ) -> Counts:
         """Follow photons `first` to `last` (default all) and count their fates; blocks of them add.
 

@@ -6,12 +6,14 @@ Solvers integrate or sample them. Directions are cosines μ to the layer normal,
 
 import abc
 import dataclasses
-from typing import Any, ClassVar, Literal, get_args
+from typing import ClassVar, Literal, get_args
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from irisjax._types import AnyReals, Real
+from irisjax.optics.fresnel import Shares
 from irisjax.optics.phase import PHASES, AbstractPhase
 
 Phase = Literal["lb06", "rayleigh"]
@@ -136,12 +138,12 @@ def sample_entry(u: Float[Array, "*s"]) -> Float[Array, "*s"]:
     return jnp.sqrt(1 - u)
 
 
-def survival(depth: Any, cosine: Any) -> Array:
+def survival(depth: AnyReals, cosine: AnyReals) -> Array:
     """Probability of crossing a whole layer untouched, exp(−τ/μ)  [LB06 Eqs. 2, 3, 6]."""
     return jnp.exp(-depth / cosine)
 
 
-def attenuation(depth: Any, cosine: Any) -> Array:
+def attenuation(depth: AnyReals, cosine: AnyReals) -> Array:
     """Probability of an event in a layer, P = 1 − exp(−τ/μ)  [LB06 Eqs. 2, 3, 6].
 
     Absorption in the ABL (Eq. 3), absorption or scattering in the stroma (Eq. 6). The event happens
@@ -150,7 +152,7 @@ def attenuation(depth: Any, cosine: Any) -> Array:
     return -jnp.expm1(-depth / cosine)
 
 
-def reflections(t: Any, lost: Any, near: Any, far: Any) -> tuple[Array, Array]:
+def reflections(t: Real, lost: Real, near: Shares, far: Shares) -> Shares:
     """Sum over all mirror reflections in a layer at one cosine, 1/(1 − t² F F'), and whether none
     escapes, where the sum is 0.
 

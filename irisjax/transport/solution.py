@@ -143,7 +143,7 @@ def outcome(valid: Bool[Array, ""], *checks: tuple[Bool[Array, ""], RESULTS]) ->
 
 
 def counted(
-    fates: Array, photons: Any, status: RESULTS, brdf: Array | None = None, **more: Any
+    fates: Array, photons: Array | int, status: RESULTS, brdf: Array | None = None, **more: Any
 ) -> Solution:
     """The `Solution` of photons (wavelengths, fates) by fate, in the order of `lanes.FATES`, of so
     many `photons` sent, a number or one a wavelength.
@@ -163,7 +163,7 @@ def counted(
     )
 
 
-def binomial_error(count: Array, n: Any) -> Array:
+def binomial_error(count: Array, n: Array | int) -> Array:
     """Standard error of a share of `n` photons; by Laplace's rule, so that a count of 0 has one."""
     p = (count + 1) / (n + 2)
     return jnp.sqrt(p * (1 - p) / n)

@@ -146,7 +146,7 @@ class Bench(Session[BenchSettings]):
         self._file = path
         return path
 
-    def _light(self, kept: KeptPicture, lit: Any, view, texels, scene, tables) -> LitView:
+    def _light(self, kept: KeptPicture, lit: object, view, texels, scene, tables) -> LitView:
         """Only coats that have changed and those below are painted."""
         painted, pixels = scene.integrator, view.iris
         assert isinstance(painted, Painted)

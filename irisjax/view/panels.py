@@ -234,7 +234,7 @@ def colour_patch(colour: Colour) -> str:
     )
 
 
-def sliders(gui: Any, folder: str, settings: CommonSettings) -> dict[str, Any]:
+def sliders(gui: "viser.GuiApi", folder: str, settings: CommonSettings) -> dict[str, Any]:
     """Sliders of a folder of `SLIDERS`, by the names of settings; values widen their ranges."""
     made = {}
     for name, (label, low, high, step, hint) in SLIDERS[folder].items():

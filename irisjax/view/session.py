@@ -11,6 +11,7 @@ from typing import Any, Generic, TypeVar
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import check_known
@@ -99,9 +100,9 @@ class KeptValue(Generic[V]):
     """A value that is computed again only where its inputs have changed."""
 
     def __init__(self) -> None:
-        self._found: tuple[Any, V] | None = None
+        self._found: tuple[object, V] | None = None
 
-    def of(self, inputs: Any, make: Callable[[], V]) -> V:
+    def of(self, inputs: object, make: Callable[[], V]) -> V:
         """Return the value for these inputs."""
         if self._found is None or self._found[0] != inputs:
             self._found = inputs, make()
@@ -159,7 +160,7 @@ class Session(abc.ABC, Generic[S]):
     def _set(self, s: S, size: tuple[int, int]) -> Scene:
         """The scene under some settings, its picture of this width and height."""
 
-    def _light(self, kept: KeptPicture, lit: Any, view, texels, scene, tables) -> LitView:
+    def _light(self, kept: KeptPicture, lit: object, view, texels, scene, tables) -> LitView:
         """`illuminate`; `lit` is what it depends on."""
         return kept.light.of(lit, lambda: illuminate(view, texels, scene, tables))
 
@@ -247,9 +248,9 @@ def encoded(picture: Any, exposure: float) -> np.ndarray:
 
 
 @eqx.filter_jit
-def _encoded(picture: Any, exposure: Any) -> Any:
+def _encoded(picture: Array, exposure: Array) -> Array:
     return jnp.asarray(255 * jnp.clip(srgb_encode(exposure * picture), 0, 1) + 0.5, jnp.uint8)
 
 
-def _degrees(angle: Any) -> float:
+def _degrees(angle: Array | float) -> float:
     return round(math.degrees(float(angle)), 4)

@@ -1,16 +1,16 @@
 """One event of a photon by the rules of ILIT, as LB06 tells it."""
 
-from typing import Any
-
 import jax.numpy as jnp
 
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.transport import lanes
-from irisjax.transport.lanes import LaneLayers, Photon
+from irisjax.transport.lanes import LaneLayers, Photon, Scale, Words
 from irisjax.transport.process import Ilit, attenuation, sample_entry
 
 
-def ilit_event(photon: Photon, words: Any, layers: LaneLayers, scale: Any, process: Ilit) -> Photon:
+def ilit_event(
+    photon: Photon, words: Words, layers: LaneLayers, scale: Scale, process: Ilit
+) -> Photon:
     """One flight and the interface at its end, by the rules of ILIT  [LB06 Section 3, Fig. 4]."""
     place, mode = lanes.InLayer.of(photon.code, layers), (photon.code >> 4) & 3
     k = photon.code >> 7

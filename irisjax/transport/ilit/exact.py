@@ -111,7 +111,7 @@ def _exit_brdf(layers: Layers, process: Ilit, cos_exit, entered, up, from_above,
         everything = _transmitted_crossing(layers)
         leaving = t * rate / jnp.where(everything > 0, everything, 1.0)[:, None]
     else:
-        series, _ = reflections(t, lost, (f_top, t_top), bottom)
+        series, _ = reflections(t, lost, (f_top, t_top), (bottom[0], bottom[1]))
         leaving = (entered * t * t * bottom[0] + up[:, None] * t) * series
     ratio = n.aqueous / n.abl
     return leaving * t_top * ratio**2 / jnp.pi

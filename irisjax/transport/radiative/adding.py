@@ -7,7 +7,6 @@ Gemert & Welch 1993]
 """
 
 from functools import partial
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -15,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
-from irisjax._types import PRNGKey
+from irisjax._types import PRNGKey, Real
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.sharding import laid_out
@@ -73,7 +72,7 @@ class AddingDoubling(AbstractSolver):
             check_whole("n_doublings", self.n_doublings, 0, 60)
 
     @classmethod
-    def following(cls, anisotropy: Any) -> "AddingDoubling":
+    def following(cls, anisotropy: Real) -> "AddingDoubling":
         """With as many angles as a BRDF takes of a stroma that scatters with this mean cosine; the
         usual number where it is traced.
         """

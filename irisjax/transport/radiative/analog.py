@@ -1,17 +1,15 @@
 """One event of a photon in radiative transfer: a free path in depth, or an interface."""
 
-from typing import Any
-
 import jax.numpy as jnp
 
 from irisjax.optics.fresnel import fresnel_at, refract
 from irisjax.transport import lanes
-from irisjax.transport.lanes import LaneLayers, Photon
+from irisjax.transport.lanes import LaneLayers, Photon, Scale, Words
 from irisjax.transport.process import RadiativeTransfer, attenuation, sample_entry
 
 
 def radiative_event(
-    photon: Photon, words: Any, layers: LaneLayers, scale: Any, process: RadiativeTransfer
+    photon: Photon, words: Words, layers: LaneLayers, scale: Scale, process: RadiativeTransfer
 ) -> Photon:
     """One flight with a free path in depth; directions change at interfaces by Snell's law only."""
     place, mode = lanes.InLayer.of(photon.code, layers), (photon.code >> 4) & 3

@@ -1,7 +1,7 @@
 """Directions in the stroma, what each meets at the interfaces, and Rayleigh's modes in azimuth."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -36,6 +36,8 @@ class Mode(NamedTuple):
 
 
 MODES = (Mode(0, 1, (0.5, 0.25)), Mode(1, -1, (0.375,)), Mode(2, 1, (0.09375,)))
+Law: TypeAlias = Callable[..., tuple[jax.Array, ...]]
+"""What an interface does with light, as in `optics.fresnel`."""
 
 
 class Ordinates(NamedTuple):
@@ -83,7 +85,7 @@ class Roof(NamedTuple):
     absorbed: jax.Array
 
 
-def quadrature_nodes(layers: Layers, n_angles: int, law: Callable = fresnel) -> Ordinates:
+def quadrature_nodes(layers: Layers, n_angles: int, law: Law = fresnel) -> Ordinates:
     """Directions in the stroma that a quadrature takes, split at its critical angles; `law` of the
     interfaces as in `optics.fresnel`.
     """
@@ -105,7 +107,7 @@ def gauss_nodes(layers: Layers, n_angles: int) -> Ordinates:
     return _ordinates(layers, fresnel, cosine, weight, *cosines)
 
 
-def from_outside(layers: Layers, outside: jax.Array, law: Callable = fresnel) -> Ordinates:
+def from_outside(layers: Layers, outside: jax.Array, law: Law = fresnel) -> Ordinates:
     """Directions with given cosines in the aqueous humour; they carry no quadrature weight."""
     n = layers.indices
     abl, stroma, ipe = (refract(outside, n.aqueous, k) for k in (n.abl, n.stroma, n.ipe))
@@ -117,7 +119,7 @@ def beams_and_exits(
     light: Light,
     n_beams: int,
     interfaces: int = 3,
-    ordinates: Callable = from_outside,
+    ordinates: Callable[..., Any] = from_outside,
 ) -> BeamsAndExits:
     """Beams, for diffuse light `n_beams` as in `beams_of`, and exits; `ordinates` makes directions
     of layers and of cosines in the aqueous humour.

@@ -1,11 +1,10 @@
 """Phase functions as series of Legendre functions, on directions."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from irisjax._types import Real, Reals
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.mixture import PhaseMixture, mean_henyey_greenstein
 from irisjax.transport.radiative.doubling import Lines
@@ -14,7 +13,7 @@ _KEPT = 4  # moments of a phase function that its values at the nodes have to th
 _FINE = 64  # nodes that hold them exactly, for |g| up to 0.95
 
 
-def legendre(count: int, orders: Any, cosine: jax.Array) -> jax.Array:
+def legendre(count: int, orders: Reals, cosine: jax.Array) -> jax.Array:
     """P_l^m √((l − m)!/(l + m)!) at cosines, shape (orders, l = 0 to count − 1, cosines); 0 where
     l < m.  [Chandrasekhar 1960, Section 48]
     """
@@ -42,7 +41,7 @@ def legendre(count: int, orders: Any, cosine: jax.Array) -> jax.Array:
 
 
 def phase_matrices(
-    phase: PhaseMixture, moments: jax.Array, peak: Any, orders: Any, lines: Lines
+    phase: PhaseMixture, moments: jax.Array, peak: Real, orders: Reals, lines: Lines
 ) -> tuple[jax.Array, jax.Array]:
     """Azimuthal orders of a phase function without its forward peak, light that keeps its sense of
     travel and light that turns back, each (orders, rows, columns).

@@ -188,7 +188,7 @@ def single_scattering(
     beam: Ordinates,
     exits: Ordinates,
     azimuth: jax.Array,
-    phase: Callable = rayleigh,
+    phase: Callable[[jax.Array], jax.Array] = rayleigh,
 ) -> jax.Array:
     """Radiance at the slab's top of light scattered once, shape (exits,), from a beam of flux 1 on
     the iris: ω p(α)/(2 μ_i μ_o) ∫ exp(−t/μ_i − t/μ_o) dt over its courses, up or down before, up or

@@ -1,12 +1,12 @@
 """Whether a slab's depth polynomials are enough, and whether precision is."""
 
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jax.core import Tracer
 
+from irisjax._types import Real
 from irisjax.optics.fresnel import refract
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.layers import Layers
@@ -23,7 +23,7 @@ _DARK = 36.0  # optical depth behind which less than rounding is left
 _OPAQUE = 18.5  # optical depth of an ABL behind which less than 1e-8 is left
 
 
-def panels_for(layers: Layers, n_depths: int, slant: Any = 1.0) -> int | None:
+def panels_for(layers: Layers, n_depths: int, slant: Real = 1.0) -> int | None:
     """Depth panels needed for concrete layers of such a `steepness`; `None` for traced ones."""
     if any(isinstance(x, Tracer) for x in (layers.extinction, layers.albedo, slant)):
         return None
@@ -62,7 +62,7 @@ def steepness(layers: Layers, light: Light) -> jax.Array:
     return steep
 
 
-def _coarseness(layers: Layers, n_depths: int, n_panels: int, slant: Any = 1.0):
+def _coarseness(layers: Layers, n_depths: int, n_panels: int, slant: Real = 1.0):
     """How coarse the panels are; the relative error of reflectance is about 8e-7 of its cube.
 
     Fitted to a scan over depths 0.1 to 32, albedos 0.003 to 1, 6 to 10 polynomials
@@ -83,7 +83,7 @@ def depths_resolved(layers: Layers, light: Light, n_depths: int, n_panels: int) 
     return (_coarseness(layers, n_depths, n_panels, steepness(layers, light)) <= _RESOLVED).all()
 
 
-def status_of(layers: Layers, resolved: jax.Array, angles: Any = True) -> RESULTS:
+def status_of(layers: Layers, resolved: jax.Array, angles: Array | bool = True) -> RESULTS:
     """The status of a deterministic solve, given whether its depths and `angles` are resolved."""
     return outcome(
         layers.valid(),

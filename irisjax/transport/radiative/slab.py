@@ -7,7 +7,7 @@ functions of x/2.
 """
 
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,8 @@ from irisjax.transport.process import attenuation, reflections, survival
 
 # Light changes as τ ln τ beside both faces of a slab: panels grow from each face inwards.
 _GROWTH = 4.0
+Parity: TypeAlias = jax.Array | np.ndarray | int | float
+"""A sign, or one a direction."""
 
 
 class Ends(NamedTuple):
@@ -62,20 +64,15 @@ class Bounded(NamedTuple):
 class Slab:
     """A layer cut into panels in depth, each with Legendre polynomials φ_i on [0, 1]."""
 
-    depth: jax.Array
-    n_depths: int
-    n_panels: int
-    widths: jax.Array
-    tops: jax.Array
-    below: jax.Array
-
     def __init__(self, depth: jax.Array, n_depths: int, n_panels: int):
         width = fractions(n_panels)
         edges = np.concatenate([[0.0], np.cumsum(width)])
-        self.depth, self.n_depths, self.n_panels = depth, n_depths, n_panels
-        self.widths = depth * jnp.asarray(width, depth.dtype)
-        self.tops = depth * jnp.asarray(edges[:-1], depth.dtype)
-        self.below = depth * jnp.asarray(1 - edges[1:], depth.dtype)
+        self.depth: jax.Array = depth
+        self.n_depths: int = n_depths
+        self.n_panels: int = n_panels
+        self.widths: jax.Array = depth * jnp.asarray(width, depth.dtype)
+        self.tops: jax.Array = depth * jnp.asarray(edges[:-1], depth.dtype)
+        self.below: jax.Array = depth * jnp.asarray(1 - edges[1:], depth.dtype)
         self.edges = edges
         # Of each order's polynomial, along the middle axis of (panels, orders, angles).
         order = np.arange(n_depths)[None, :, None]
@@ -124,7 +121,7 @@ class Slab:
             (start * self._signs * b.from_bottom[:, None]).reshape(-1, b.cosine.size),
         )
 
-    def moments(self, b: Bounded, weight: jax.Array, f: jax.Array, parity: Any) -> jax.Array:
+    def moments(self, b: Bounded, weight: jax.Array, f: jax.Array, parity: Parity) -> jax.Array:
         """Moments ∫ weight f_l φ_i I of the radiance that unit sources f_k φ_j make, a matrix
         over (rank, panels, orders); `f`: (rank, angles); `parity`: a number, or one an angle.
         """
@@ -160,7 +157,7 @@ class Slab:
         return out.reshape(rank * panels * n, rank * panels * n)
 
     def moments_of_images(
-        self, b: Bounded, weight: jax.Array, f: jax.Array, parity: Any
+        self, b: Bounded, weight: jax.Array, f: jax.Array, parity: Parity
     ) -> jax.Array:
         """The part of `moments` that comes by way of the slab's ends."""
         _, _, downward, upward = self._sources(b, parity)
@@ -169,24 +166,24 @@ class Slab:
         sent = jnp.concatenate([downward, upward], axis=-1)
         return _between(jnp.tile(weight[None, :] * f, 2), entering, jnp.tile(f, 2), sent)
 
-    def driving_each(self, b: Bounded, parity: Any) -> jax.Array:
+    def driving_each(self, b: Bounded, parity: Parity) -> jax.Array:
         """Moments of beams of radiance 1 that enter at the top, (panels·orders, beams)."""
         entering_top, entering_bottom = self._tests(b)
         upward = _signed(parity, b.through) * b.images.bottom
         return b.images.series[None, :] * entering_top + upward[None, :] * entering_bottom
 
-    def leaving_each(self, b: Bounded, parity: Any) -> tuple[jax.Array, jax.Array]:
+    def leaving_each(self, b: Bounded, parity: Parity) -> tuple[jax.Array, jax.Array]:
         """Radiance of unit sources at the top and at the bottom, (panels·orders, angles)."""
         up, down, downward, upward = self._sources(b, parity)
         through = b.through[None, :]
         return up + through * upward, down + through * downward
 
-    def leaving_of_images_each(self, b: Bounded, parity: Any) -> tuple[jax.Array, jax.Array]:
+    def leaving_of_images_each(self, b: Bounded, parity: Parity) -> tuple[jax.Array, jax.Array]:
         """The part of `leaving_each` that comes by way of the slab's ends."""
         _, _, downward, upward = self._sources(b, parity)
         return b.through[None, :] * upward, b.through[None, :] * downward
 
-    def leaving(self, b: Bounded, source: jax.Array, parity: Any) -> tuple[jax.Array, jax.Array]:
+    def leaving(self, b: Bounded, source: jax.Array, parity: Parity) -> tuple[jax.Array, jax.Array]:
         """Radiance of sources (angles, panels·orders) at the top and at the bottom, (angles,)."""
         top, bottom = self.leaving_each(b, parity)
         return (source.T * top).sum(0), (source.T * bottom).sum(0)
@@ -267,14 +264,14 @@ def _legendre_moments(x, count: int):
     return jnp.stack(moments, axis=-2)
 
 
-def mean_survival(x: Any) -> jax.Array:
+def mean_survival(x: jax.Array) -> jax.Array:
     """(1 − e^{−x})/x, with a gradient that is right at small x too."""
     small, series = _absence_of_small(x)
     z = jnp.where(small, 1.0, x)
     return jnp.where(small, 1 - series, -jnp.expm1(-z) / z)
 
 
-def mean_absence(x: Any) -> jax.Array:
+def mean_absence(x: jax.Array) -> jax.Array:
     """1 − (1 − e^{−x})/x without cancellation."""
     small, series = _absence_of_small(x)
     return jnp.where(small, series, 1 - mean_survival(jnp.where(small, 1.0, x)))

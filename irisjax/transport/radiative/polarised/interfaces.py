@@ -51,7 +51,7 @@ class Met(NamedTuple):
     turned: jax.Array
 
 
-def polarised(make: Callable, *where: Any) -> PolarisedOrdinates:
+def polarised(make: Callable[..., Ordinates], *where: object) -> PolarisedOrdinates:
     """`PolarisedOrdinates` of `quadrature_nodes` or `from_outside`."""
     d = make(*where, lambda *x: (fresnel_p(*x), fresnel_s(*x), coherence(*x)))
     return PolarisedOrdinates(

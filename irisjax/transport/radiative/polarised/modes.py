@@ -34,8 +34,8 @@ class PolarisedMode(NamedTuple):
     order: int
     strength: tuple[float, ...]
     parity: tuple[int, int, int]
-    linear: Callable | None
-    turning: Callable | None
+    linear: Callable[[Array], Array] | None
+    turning: Callable[[Array], Array] | None
     u: int | None
     v: int | None
 
