@@ -112,7 +112,8 @@ def _shares(cos_in, cos_out, n_in, n_out, along, across):
     a, b = (jnp.where(grazing, 1.0, c) for c in (cos_in, cos_out))
     total = along * a + across * b
     amplitude = (along * a - across * b) / total
-    transmittance = 4.0 * n_in * n_out * a * b / (total * total)
+    # Not over the square of `total`, which underflows for cosines below 1e-160.
+    transmittance = 4.0 * n_in * n_out * (a / total) * (b / total)
     mirrors = jnp.where(n_in == n_out, 0.0, 1.0)
     reflectance = jnp.where(grazing, mirrors, amplitude * amplitude)
     return reflectance, jnp.where(grazing, 1.0 - mirrors, transmittance)

@@ -2,7 +2,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from mpmath import mp, mpf
 
@@ -78,6 +78,8 @@ def test_grazing_on_unmatched_media_reflects_all():
         assert t == 0
 
 
+@example(1e-200, 1.4, 1.4)
+@example(1e-170, 1.0, 1.5)
 @given(cosines, indices, indices)
 def test_energy(mu, n, m):
     f, t = fresnel_at(array(mu), array(n), array(m))
