@@ -141,7 +141,7 @@ def candidates_of(problem: Problem) -> dict[str, Problem]:
         return {by_law: problem, **both}
     general = problem.under(PowerLaw())
     # A relative error of 2e-3 for 95 % of the priors' irides: a tenth of a good spectrum's noise.
-    solvers = solvers_of(general.base, general.observations, AddingDoubling(12, 10))
+    solvers = solvers_of(general.base, general.observations, AddingDoubling(12, 10), {})
     return {**both, by_law: dataclasses.replace(general, solvers=solvers)}
 
 

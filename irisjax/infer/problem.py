@@ -16,6 +16,7 @@ from irisjax.infer.noise import Noise
 from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import DEFAULT_FREE, OF_POWER_LAW, PARAMETERS, kind
 from irisjax.infer.priors import AbstractPrior, check_prior
+from irisjax.measure.instrument import AbstractInstrument
 from irisjax.measure.observe import observed, prepared
 from irisjax.numerics.checks import check_known, check_range
 from irisjax.numerics.portions import by_rows, in_pieces
@@ -24,6 +25,8 @@ from irisjax.tissue.scattering import PowerLaw
 from irisjax.transport import defaults
 from irisjax.transport.pointwise import Pointwise
 from irisjax.transport.process import DEPTH_RESOLVED, ILIT_2006, AbstractProcess, Ilit
+from irisjax.transport.radiative.exact import RadiativeExact
+from irisjax.transport.radiative.tabulated import RadiativeTabulated
 from irisjax.transport.solution import RESULTS
 from irisjax.transport.solver import AbstractSolver
 
@@ -32,6 +35,8 @@ _Z = Float[Array, " free"]
 _Readings = tuple[Float[Array, " _"], ...]  # one of each observation
 _MOST_CORRELATED = 1000  # hours of sampling as it is
 _PREDICTED = 500  # draws that one call predicts
+_DEEPENING = "scattering_scale", "stroma_thickness"
+_FAR = 3.1  # standard deviations: one iris of the prior in a thousand lies beyond
 _ROWS = 64  # the sampler's default walkers: a call costs as much as twenty beside its rows
 
 
@@ -203,7 +208,8 @@ class Problem(eqx.Module):
         known = {n: v for n, v in self.fixed.items() if n in stated and n not in gone}
         return dataclasses.replace(
             self, base=base, fixed=_as_arrays(stated) | known, free=tuple(free),
-            priors=tuple(free.values()), solvers=solvers_of(base, self.observations, process),
+            priors=tuple(free.values()),
+            solvers=solvers_of(base, self.observations, process, free),
         )  # fmt: skip
 
     def _with_noise(
@@ -298,9 +304,11 @@ def problem(
     by = solver or process or ILIT_2006
     base = _with_law(base, by.process if isinstance(by, AbstractSolver) else by, (*names, *fixed))
     known = {n: v for n, v in {**parameters.of_iris(base), **fixed}.items() if n not in names}
-    solvers = solvers_of(base, seen, by)
-    every = tuple(priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded)
-    return Problem(seen, noise, base, _as_arrays(known), solvers, tuple(expanded), every)
+    every = {n: priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded}
+    solvers = solvers_of(base, seen, by, every)
+    return Problem(
+        seen, noise, base, _as_arrays(known), solvers, tuple(every), tuple(every.values())
+    )
 
 
 class Form:
@@ -419,15 +427,33 @@ def _with_law(base: Iris, process: AbstractProcess, names: Iterable[str]) -> Iri
 
 
 def solvers_of(
-    base: Iris, observations: Sequence[Observation], by: AbstractProcess | AbstractSolver
+    base: Iris,
+    observations: Sequence[Observation],
+    by: AbstractProcess | AbstractSolver,
+    free: Mapping[str, AbstractPrior],
 ) -> tuple[Pointwise, ...]:
-    """For each observation the solver given, or a process's quickest one for irides like `base`."""
-    found = []
+    """For each observation the solver given, or a process's quickest one for irides like `base`,
+    with parameters of these priors free.
+    """
+    # The most that scatters: outside its range a table extrapolates, and a chain would not know.
+    far, wide = jnp.asarray(_FAR), {kind(n): p for n, p in free.items() if kind(n) in _DEEPENING}
+    deepest = {name: float(prior.value(far)) for name, prior in wide.items()}
+    most, found = base.replace(melanin_load=0.0, **deepest) if wide else base, []
     for instrument in (o.instrument for o in observations):
-        given = isinstance(by, AbstractSolver)
-        solver = by if given else defaults.quickest(base, instrument.media.aqueous, by)
-        found.append(Pointwise(prepared(base, instrument, solver)))
+        if isinstance(by, AbstractSolver):
+            solver = by
+        else:
+            solver = defaults.quickest(base, instrument.media.aqueous, by)
+            if isinstance(solver, RadiativeTabulated) and wide:
+                held = _holds(solver, most, instrument)
+                solver = solver if held else RadiativeExact(16, 8)
+        found.append(Pointwise(prepared(most, instrument, solver)))
     return tuple(found)
+
+
+@eqx.filter_jit
+def _holds(table: RadiativeTabulated, iris: Iris, instrument: AbstractInstrument) -> Array:
+    return table.holds(iris.layers(instrument.pigments, instrument.media.aqueous))
 
 
 def _as_arrays(values: Mapping[str, Any]) -> dict[str, Any]:

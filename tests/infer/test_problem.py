@@ -313,3 +313,20 @@ def test_densities_and_fits_do_not_depend_on_the_pieces(monkeypatch):
     assert int(found.agreeing) == 4
     for name in problem.free:
         assert float(found.values[name]) == pytest.approx(float(truth[name]), rel=1e-5)
+
+
+def test_a_prior_beyond_the_table_is_computed_without_it():
+    """Outside its range a table extrapolates, and a chain would not know."""
+    seen = ij.spectrum(np.array([400.0, 550.0]), np.full(2, 0.02))
+    free = ["melanin_load", "scattering_scale"]
+    how = {"process": ij.DEPTH_RESOLVED, "free": free}
+    within, beyond = (
+        ij.problem(seen, priors={"scattering_scale": prior}, **how)
+        for prior in (ij.infer.LogNormal(1.0, 0.3), ij.infer.LogUniform(0.3, 40.0))
+    )
+    assert isinstance(within.solvers[0].solver, ij.RadiativeTabulated)
+    assert isinstance(beyond.solvers[0].solver, ij.RadiativeExact)
+    deep = {"melanin_load": 0.05, "scattering_scale": 35.0}
+    for problem, said in ((beyond, ij.RESULTS.successful), (within, ij.RESULTS.outside_table)):
+        status = quick_jit(lambda z, p=problem: p.status(z))
+        assert bool(status(problem.standard(deep)) == said)
