@@ -8,12 +8,14 @@ spectra of each level, with the default parameters and the stroma's thickness fr
 import numpy as np
 
 import irisjax as ij
+from experiments.calibration import CENTRES, FWHM
 from experiments.common import RESULTS, start, write
 from irisjax.infer.analytic import KubelkaMunk
 from irisjax.infer.fit import fit
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import with_values
 from irisjax.infer.parameters import DEFAULT_FREE, of_iris
+from irisjax.infer.priors import LogUniform
 from irisjax.tissue.pigments import common_range
 
 FREE = (*DEFAULT_FREE, "stroma_thickness")
@@ -47,6 +49,8 @@ def main(key, quick=False, out=RESULTS):
         "gain calibrated": (base, noisy, {"fixed": ("gain",)}),
         "radiative transfer": (base, noisy, {"process": ij.DEPTH_RESOLVED}),
         "radiative transfer, scattering by a power law": (base, noisy, {"law": True}),
+        "strength of scattering free, 0.3 to 40 times": (base, noisy, {"strength": True}),
+        "eight bands of 20 to 40 nm": (_bands, noisy, {}),
         "the same measured twice": (_twice, noisy, {}),
         "a second spectrum at 60 degrees": (_two_angles, noisy, {}),
         "a second spot with twice the melanin": (
@@ -88,12 +92,14 @@ def _widths(
     separate=(),
     process=None,
     law=False,
+    strength=False,
 ):
     seen = measure(iris)
     truth = {k: float(v) for k, v in of_iris(iris).items()}
     problem = ij.problem(
         seen,
-        free=[n for n in free if n not in fixed],
+        free=[*(n for n in free if n not in fixed), *(["scattering_scale"] if strength else [])],
+        priors={"scattering_scale": LogUniform(0.3, 40.0)} if strength else {},
         fixed={n: truth[n] for n in fixed},
         separate=separate,
         noise=noise,
@@ -129,6 +135,11 @@ def _widths(
 def _spectra(low, high, step):
     grid = ij.wavelengths(np.ceil(low / step) * step, np.floor(high / step) * step, step)
     return lambda iris: ij.spectrum(grid, np.ones(grid.size))
+
+
+def _bands(iris):
+    bands = ij.Passbands.slit(CENTRES, FWHM)
+    return ij.spectrum(CENTRES, np.ones(CENTRES.size), bands=bands)
 
 
 def _colour(iris):

@@ -210,7 +210,8 @@ SECTIONS: dict[str, dict[str, EntryCheck]] = {
         "preset": tuple(PRESETS),
         "level": ("low", "moderate", "high"),
         "melanin_load": MELANIN_LOAD,
-        **LIMITS,
+        # Behind the iris of a picture is nothing: its epithelium is black.
+        **{name: limits for name, limits in LIMITS.items() if name != "ipe_melanin"},
     },
     "maps": {"seed": range(2**32), "file": str, "uniform": bool, **FEATURES},
     "eye": {
