@@ -194,7 +194,7 @@ class SpectrumLight(BandedLight):
         0.0,
     )
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.quantity is not None:  # by the name that it has in `irisjax fit`
             known = opt.one_of(*PHOTOMETERS, *POLARIMETERS)
             object.__setattr__(self, "instrument", known(self.quantity))
