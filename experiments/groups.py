@@ -95,7 +95,7 @@ def _fitted(problem, truth, noise):
         model = problem.predict(z)[0]
         sd = 0.02 * model + 2e-4
         eye = with_values(problem.observations[0], model + sd * normal, sd)
-        # As in a batch of the command.
+        # The options are those of a batch of the command.
         search = levenberg_marquardt(1e-5, 1e-5)
         found = fit(
             problem.with_observations(eye), solver=search, starts=2, rounds=1,

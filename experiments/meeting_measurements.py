@@ -1,5 +1,5 @@
-"""What the model says where living eyes were measured: transmission, colour, brightness, the bends
-of blood.
+"""Puts the model beside measurements of living eyes: transmission, colour, brightness, the bends of
+blood.
 
 The numbers of measurement are published ones; none was made for this model, and none was used to
 make it.
@@ -49,35 +49,8 @@ def main(key, quick=False, out=RESULTS):
 
 
 def transmission(processes, out):
-    """The epithelium of a light-blue iris fitted to the red, and what follows."""
-    rows = []
-    for name, solver in processes.items():
-
-        @jax.jit
-        def through(mass, load, solver=solver):
-            iris = ij.Iris.of_level("low").replace(ipe_melanin=mass, melanin_load=load)
-            return ij.transmittance(iris, [GREEN, RED], solver=solver, throw=False).values
-
-        blue = float(ij.Iris.of_level("low").melanin_load)
-        brown = float(ij.Iris.of_level("high").melanin_load)
-        mass = brentq(lambda m: float(through(m, blue)[1]) - MEASURED["red"], 0.1, 50)  # noqa: B023
-        seen, dark = np.asarray(through(mass, blue)), np.asarray(through(mass, brown))
-        wanted = MEASURED["dark brown over light blue"] * seen
-        loads = [
-            brentq(lambda x, k=k, w=w: float(through(mass, x)[k]) - w, blue, 50.0)  # noqa: B023
-            for k, w in enumerate(wanted)
-        ]
-        rows += [
-            (name, "pigment epithelium, ug/mm2 of eumelanin, fitted to the red", mass, "", ""),
-            (name, "light blue, red", seen[1], MEASURED["red"], seen[1] / MEASURED["red"]),
-            (name, "light blue, green", seen[0], MEASURED["green"], seen[0] / MEASURED["green"]),
-        ]
-        for k, colour in ((1, "red"), (0, "green")):
-            ratio, measured = dark[k] / seen[k], MEASURED["dark brown over light blue"]
-            rows += [
-                (name, f"high pigmentation over low, {colour}", ratio, measured, ratio / measured),
-                (name, f"melanin load that has it, {colour}, ug/mm2", loads[k], "", ""),
-            ]
+    """Fit the epithelium of a light-blue iris to the red, and write what follows."""
+    rows = [row for name, solver in processes.items() for row in _transmissions(name, solver)]
     header = (
         "transmittance of simulated irides beside the effective transmission of living ones, van "
         "den Berg, IJspeert & de Waard, Vision Research 31, 1361 (1991)",
@@ -88,8 +61,38 @@ def transmission(processes, out):
     write(out / "meeting_transmission.csv", header, columns, rows)
 
 
+def _transmissions(name, solver):
+    """Return the rows of one process."""
+
+    @jax.jit
+    def through(mass, load):
+        iris = ij.Iris.of_level("low").replace(ipe_melanin=mass, melanin_load=load)
+        return ij.transmittance(iris, [GREEN, RED], solver=solver, throw=False).values
+
+    def load_that_lets_through(k, wanted):
+        return brentq(lambda load: float(through(mass, load)[k]) - wanted, blue, 50.0)
+
+    blue = float(ij.Iris.of_level("low").melanin_load)
+    brown = float(ij.Iris.of_level("high").melanin_load)
+    mass = brentq(lambda m: float(through(m, blue)[1]) - MEASURED["red"], 0.1, 50.0)
+    seen, dark = np.asarray(through(mass, blue)), np.asarray(through(mass, brown))
+    rows = [
+        (name, "pigment epithelium, ug/mm2 of eumelanin, fitted to the red", mass, "", ""),
+        (name, "light blue, red", seen[1], MEASURED["red"], seen[1] / MEASURED["red"]),
+        (name, "light blue, green", seen[0], MEASURED["green"], seen[0] / MEASURED["green"]),
+    ]
+    for k, colour in ((1, "red"), (0, "green")):
+        ratio, measured = dark[k] / seen[k], MEASURED["dark brown over light blue"]
+        load = load_that_lets_through(k, measured * seen[k])
+        rows += [
+            (name, f"high pigmentation over low, {colour}", ratio, measured, ratio / measured),
+            (name, f"melanin load that has it, {colour}, ug/mm2", load, "", ""),
+        ]
+    return rows
+
+
 def blood(processes, out):
-    """How deep the bend between the bands of oxyhaemoglobin is."""
+    """Write how deep the bend between the bands of oxyhaemoglobin is."""
     rows = []
     for name, solver in processes.items():
         for level in ("low", "moderate", "high"):
@@ -211,7 +214,7 @@ def _nearest(one, slope, x, found, target, bounds, free, starts):
 
 
 def figure(clouds, out):
-    """Where colours of the model lie beside photographed irides, in a* and b*."""
+    """Draw the colours of the model beside those of photographed irides, in a* and b*."""
     names = sorted({name for name, _ in clouds}, reverse=True)
     drawn, axes = plt.subplots(1, len(names), figsize=(4.5 * len(names), 4.4), squeeze=False)
     for ax, name in zip(axes[0], names, strict=True):

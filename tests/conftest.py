@@ -121,7 +121,7 @@ def pytest_collection_modifyitems(items):
     files = {path: k for k, path in enumerate(dict.fromkeys(item.path for item in items))}
     weights = {path: _LONGEST.get(_name(path), 0) for path in files}
     items.sort(key=lambda x: (-weights[x.path], files[x.path], _wants_float32(x)))
-    # What is imported and collected stays: no collection of garbage needs to look through it again,
+    # Imported modules and collected tests stay: no collection of garbage needs to look through them,
     # and traces leave so little that seldom is enough.
     gc.freeze()
     gc.set_threshold(50_000, 20, 50)

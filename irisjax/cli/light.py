@@ -196,8 +196,11 @@ class SpectrumLight(BandedLight):
 
     def __post_init__(self) -> None:
         if self.quantity is not None:  # by the name that it has in `irisjax fit`
-            known = opt.one_of(*PHOTOMETERS, *POLARIMETERS)
-            object.__setattr__(self, "instrument", known(self.quantity))
+            asked = opt.one_of(*PHOTOMETERS, *POLARIMETERS)(self.quantity)
+            if "instrument" in self.typed and self.instrument != asked:
+                said = f"--instrument {self.instrument} and --quantity {asked}"
+                raise ValueError(f"{said} are one option by two names: give one of them")
+            object.__setattr__(self, "instrument", asked)
             object.__setattr__(self, "quantity", None)
         super().__post_init__()
 

@@ -21,7 +21,8 @@ from irisjax.optics.fresnel import refract
 from irisjax.optics.mixture import PhaseMixture
 
 FATES = ("mirrored", "reflected", "abl", "stroma", "ipe", "behind")
-"""Where photons end, in the order of the counts; none gets behind a black pigment epithelium."""
+"""Names of the places where photons end, in the order of the counts; no photon gets behind a black
+pigment epithelium."""
 
 MIRRORED, REFLECTED, ABL, STROMA, IPE, BEHIND, RESTING = range(1, 8)  # as coded; 0 is alive
 FRESH, SCATTERED, KEPT = 0, 1, 2  # how the direction of the coming flight comes about
@@ -62,8 +63,8 @@ class Photon(NamedTuple):
 
 
 class InLayer(NamedTuple):
-    """Where a photon is: in the ABL, in a pigment epithelium that is followed, or in neither: in
-    the stroma. There is no second flag where the epithelium is black.
+    """The layer that a photon is in: the ABL, a pigment epithelium that lets light through, or, if
+    neither flag is set, the stroma. `in_ipe` is `None` where the epithelium is black.
     """
 
     in_abl: Array
@@ -75,7 +76,7 @@ class InLayer(NamedTuple):
         return cls((code & 8) > 0, None if layers.ipe is None else (code & 64) > 0)
 
     def pick(self, abl: Any, stroma: Any, ipe: Any) -> Array:
-        """What belongs to the layer."""
+        """Return, for each photon, the one of three values that belongs to its layer."""
         if self.in_ipe is not None:
             stroma = jnp.where(self.in_ipe, ipe, stroma)
         return jnp.where(self.in_abl, abl, stroma)

@@ -112,8 +112,10 @@ class Solution(eqx.Module):
 
 
 class Flux(NamedTuple):
-    """Where the light goes, in shares of it, and the BRDF, if exits are requested. `ipe` is what
-    enters the pigment epithelium for good; `behind`, of that, what leaves it there.
+    """Shares of the light by the place where it ends, and the BRDF, if exits are requested.
+
+    `ipe` is the share that enters the pigment epithelium and does not return, `behind` the part of
+    it that leaves the epithelium behind.
     """
 
     reflectance: Array

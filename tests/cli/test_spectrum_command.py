@@ -84,6 +84,9 @@ def test_transmittance_by_either_name(irisjax, printed):
     assert status == 2
     assert "no light gets behind a black pigment epithelium" in err
     assert irisjax("spectrum", "--quantity", "colour")[0] == 2
+    status, _, err = irisjax("spectrum", NAMES[0], "radiance", NAMES[1], "transmittance", *how)
+    assert status == 2
+    assert "are one option by two names: give one of them" in err
 
 
 NAMES = "--instrument", "--quantity"

@@ -27,7 +27,7 @@ SHAPE = CAMERA.shape
 
 @functools.cache
 def view():
-    """What the camera sees."""
+    """Picture that the camera sees."""
     return look(EYE, CAMERA)
 
 

@@ -37,7 +37,7 @@ class Mode(NamedTuple):
 
 MODES = (Mode(0, 1, (0.5, 0.25)), Mode(1, -1, (0.375,)), Mode(2, 1, (0.09375,)))
 Law: TypeAlias = Callable[..., tuple[jax.Array, ...]]
-"""What an interface does with light, as in `optics.fresnel`."""
+"""Functions that say what an interface does with light, as those of `optics.fresnel` do."""
 
 
 class Ordinates(NamedTuple):

@@ -118,7 +118,7 @@ def turning_layer(
     once = _complex(gone) + twice * far.lost
     reflected = near.reflected + passed * passed * twice * far.reflected * series
     lost = series * (near.lost * once + twice * far.reflected * contrast * contrast)
-    # Where all is reflected, the layer is not seen.
+    # Light that its near face reflects totally does not enter the layer.
     total = near.passed == 0
     return TurningLayer(
         reflected=jnp.where(total, near.reflected, reflected),
