@@ -126,4 +126,4 @@ def _read(indices: tuple[float, ...], dtype: str, process: AbstractProcess):
         for x in ("out", "ends", "multiple")
     )
     error = float(stored[f"error_{dtype}"])
-    return RadiativeTabulated(out, ends, multiple, of["pole"], media, error)
+    return RadiativeTabulated(out, ends, multiple, media, error)

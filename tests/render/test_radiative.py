@@ -162,7 +162,7 @@ def test_traced_pictures_are_the_others():
 
 def test_layers_beyond_the_table_are_solved_exactly_or_refused():
     bands, deep = spectral_bands(X, "E"), Scales(stroma=(0.5, 40.0))
-    thick = LIGHT.replace(scattering_scale=30.0)
+    thick = LIGHT.replace(scattering_scale=300.0)
     made = RadiativeIntegrator().prepare(thick, INDEX, bands, deep)
     assert isinstance(made.solver, ij.RadiativeExact)
     table = RadiativeIntegrator().prepare(LIGHT, INDEX, bands, Scales()).solver

@@ -11,7 +11,7 @@ from irisjax.tissue.layers import Layers
 from irisjax.transport.defaults import quickest, table_for
 
 GRID = np.array([400.0, 480.0, 560.0, 640.0, 700.0])
-EXACT = ij.RadiativeExact(32, 8, 1)
+EXACT = ij.RadiativeExact(24, 8, 5)
 IRIDES = {
     "low": {"eumelanin": 0.12, "pheomelanin": 0.02},
     "high": {"eumelanin": 1.0, "pheomelanin": 0.27},
@@ -20,6 +20,8 @@ IRIDES = {
     "none-in-abl": {"abl_fraction": 0.0},
     "no-pigment": {"eumelanin": 0.0, "pheomelanin": 0.0, "oxyhemoglobin": 0.0},
     "much-scattering": {"scattering_scale": 3.0},
+    "bundles-of-fibrils": {"scattering_scale": 40.0, "stroma_thickness": 0.5},
+    "bundles-without-pigment": {"scattering_scale": 40.0, "melanin_load": 0.0},
     "next-to-none": {"scattering_scale": 0.01},
 }
 
@@ -97,10 +99,11 @@ def solved(table, abl, absorption, scattering, indices=None):
 
 
 def test_what_is_deeper_than_the_table_is_alike(table):
-    depth = np.array([14.0, 16.0, 1e3, 1e6])
-    found = solved(table, 0.05, depth, 0.02 * depth)
-    assert bool(found.status == ij.RESULTS.successful)
-    np.testing.assert_allclose(found.reflectance, found.reflectance[-1], rtol=1e-5)
+    depth = np.array([20.0, 30.0, 1e3, 1e6])
+    for albedo in (0.02, 0.89):
+        found = solved(table, 0.05, (1 - albedo) * depth, albedo * depth)
+        assert bool(found.status == ij.RESULTS.successful)
+        np.testing.assert_allclose(found.reflectance, found.reflectance[-1], rtol=2e-5)
     dark = solved(table, np.array([19.0, 50.0, 1e6]), 0.5, 0.1)
     assert np.isfinite(dark.reflectance).all() and (np.diff(dark.reflectance) <= 0).all()
     np.testing.assert_allclose(dark.energy, 1, rtol=1e-12)
@@ -120,7 +123,7 @@ def test_empty_layers_are_the_interfaces_alone(table):
 
 
 def test_what_the_table_does_not_hold_is_said(table):
-    inside, outside = (solved(table, 0.1, 0.0, s).status for s in (2.0, 2.2))
+    inside, outside = (solved(table, 0.1, 0.0, s).status for s in (25.0, 25.1))
     assert bool(inside == ij.RESULTS.successful)
     assert bool(outside == ij.RESULTS.outside_table)
     other = ij.Iris(ipe_index=1.51).indices()
@@ -131,8 +134,8 @@ def test_what_the_table_does_not_hold_is_said(table):
 def test_brdf_agrees_with_the_exact_solver(table, cosine):
     exits = np.cos(np.radians([0.0, 30.0, 60.0, 75.0, 80.0, 80.0]))
     azimuth = np.array([0.0, 1.0, np.pi, 0.0, 2.0, np.pi])
-    for level in ("low", "high"):
-        iris = ij.Iris.of_level(level)
+    for level, scale in (("low", 1.0), ("high", 1.0), ("low", 40.0)):
+        iris = ij.Iris.of_level(level).replace(scattering_scale=scale)
         found, exact = (angular(iris, cosine, exits, azimuth, s) for s in (table, EXACT))
         np.testing.assert_allclose(found, exact, rtol=1e-3)
 
@@ -164,7 +167,7 @@ def test_the_table_that_is_shipped_is_the_one_that_is_built(table):
     assert built.error == pytest.approx(table.error, rel=0.01)
     assert built.error < 1.2e-5
     by_both = (solved(t, 0.07, [0.3, 3.0], 0.2).reflectance for t in (built, table))
-    np.testing.assert_allclose(*by_both, rtol=1e-9)
+    np.testing.assert_allclose(*by_both, rtol=1e-6)  # stored in single precision
 
 
 @pytest.mark.slow  # makes a table

@@ -2,14 +2,13 @@
 
 With fixed indices the stroma under its ABL depends on three numbers: the optical depths τ_A of the
 ABL and τ of the stroma, and the stroma's albedo ω. A beam up to its first scattering is exact;
-the fates of what it scatters are smooth in ln(1 + τ_A/k), ln(1 + τ/k), ω and the beam's cosine in
-the stroma, once the leading pole 1/(1 − ω λ(τ)) of the sum over orders of scattering is taken out.
-Of a BRDF light scattered once is exact too, and the rest a table of the azimuthal orders 0, 1 and
-2, all that Rayleigh's law has.
+the fates of what it scatters are tabulated over the depths, the albedo and the beam's cosine in the
+stroma. Of a BRDF light scattered once is exact too, and the rest a table of the azimuthal orders 0,
+1 and 2, all that Rayleigh's law has.
 
 The tables' coordinates run over [−1, 1]. Depths by ln(1 + τ/k): fates go as τ ln τ near nothing.
-Albedos from 0 to what the table holds at a depth, `_most`: all there are where τ_s ≤ 2, and up to
-7.5/τ in the deep.
+Albedos by ln(1 + (1 − ω)/ε), ε = 2/(1 + τ)²: the sum over orders of scattering has poles where
+1 − ω = −O(1/τ²), which a logarithm of this origin keeps away from the table at every depth.
 """
 
 import dataclasses
@@ -20,14 +19,14 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
 from irisjax._types import PRNGKey
-from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_series
+from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.portions import by_rows
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.numerics.sharding import laid_out
-from irisjax.numerics.tucker import Tucker, coefficients, grid_points
+from irisjax.numerics.tucker import Tucker, grid_points
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
@@ -43,24 +42,30 @@ from irisjax.transport.radiative.directions import (
 from irisjax.transport.solution import RESULTS, Flux, Solution, outcome
 from irisjax.transport.solver import AbstractSolver, check_black, check_rayleigh
 
-_NODES = 24, 48, 10, 8  # along τ_A, τ, ω and the cosine
-_BRDF_NODES = 12, 24, 8, 6, 6  # along τ_A, τ, ω and the cosines in and out
-_LEFT_OUT, _BRDF_LEFT_OUT = 1e-6, 1e-5  # of the polynomials' weights, where they are compressed
-_ANGLES, _HOW = 32, (10, 3)  # of the exact solution at the nodes: angles; polynomials and panels
+_NODES = 24, 40, 12, 8  # along τ_A, τ, 1 − ω and the cosine
+_BRDF_NODES = 12, 24, 8, 6, 6  # along τ_A, τ, 1 − ω and the cosines in and out
+# Of the weights of reflectance, other fates and BRDFs, what is left out where they are compressed.
+_LEFT_OUT = 1e-6, 4e-6, 1e-5
+_ANGLES = 32  # of the exact solution at the nodes
+_THIN = (
+    3.0,
+    (8, 3),
+    (8, 5),
+)  # depth up to which the first polynomials and panels do, else the others
 _CHECKS = 4  # chunks of points, off the nodes
 _CHUNK = 1024  # points a program takes at once
-_DEEPEST_ABL, _DEEPEST = 20.0, 15.0  # exp(−2·15) is below rounding: deeper is all alike
+_DEEPEST_ABL, _DEEPEST = 20.0, 25.0
+_ABSORBING = 0.1  # 1 − ω from which a stroma deeper than that is like one as deep, to 5e-6
 _KNEE = 3e-4
-_ALBEDO, _BEND = 1.25, 8.0
 
 
 class RadiativeTabulated(AbstractSolver):
     """Solver of radiative transfer for many spectra of irides that share their refractive indices.
 
     Make one with `RadiativeTabulated.build`. Every depth, albedo and incidence is traced; an iris
-    with other indices, or one that scatters more than the table holds (scattering depths above 2
-    in a stroma that hardly absorbs, albedos above 7.5/τ in a deep one), gives the status
-    `outside_table`. Gradients flow to depths, pigments and incidence, not to indices.
+    with other indices, or with a stroma deeper than 25 optical depths whose albedo is above 0.9,
+    gives the status `outside_table`. Gradients flow to depths, pigments and incidence, not to
+    indices.
 
     - `error`: largest relative error of the reflectance, or to 1e-4 of the light, found at build
         time off the nodes.
@@ -71,7 +76,6 @@ class RadiativeTabulated(AbstractSolver):
     out: Tucker
     ends: Tucker
     multiple: Tucker
-    pole: Float[Array, " polynomials"]
     indices: RefractiveIndices
     error: float = eqx.field(static=True)
     dense_outside: bool = eqx.field(static=True, default=False)
@@ -86,13 +90,12 @@ class RadiativeTabulated(AbstractSolver):
         **Raises:** `ValueError` if the error found exceeds `tolerance`.
         """
         indices = Iris().indices() if indices is None else indices
-        fates, pole = _table(indices)
-        dtype = jnp.result_type(float)
+        fates, dtype = _table(indices), jnp.result_type(float)
         # `out` by itself: who wants no more pays for no more.
-        out, ends = (Tucker.of(f, _LEFT_OUT, dtype) for f in (fates[..., :1], fates[..., 1:]))
-        multiple = Tucker.of(_brdf_table(indices, pole), _BRDF_LEFT_OUT, dtype)
+        each = fates[..., :1], fates[..., 1:], _brdf_table(indices)
+        parts = (Tucker.of(x, left, dtype) for x, left in zip(each, _LEFT_OUT, strict=True))
         dense = bool(indices.aqueous > min(indices.abl, indices.stroma, indices.ipe))
-        table = cls(out, ends, multiple, jnp.asarray(pole, dtype), indices, 0.0, dense)
+        table = cls(*parts, indices, 0.0, dense)
         error = table._measure()
         if error > tolerance:
             raise ValueError(
@@ -117,15 +120,15 @@ class RadiativeTabulated(AbstractSolver):
 
     def holds(self, layers: Layers) -> Bool[Array, ""]:
         """Whether the table has these layers' indices, depths and albedos."""
-        depth = jnp.minimum(layers.extinction, _DEEPEST)
-        rounding = 1 + 8 * jnp.finfo(depth.dtype).eps
-        return self.indices.same(layers.indices) & (layers.albedo <= rounding * _most(depth)).all()
+        depth = layers.extinction * (1 - 8 * jnp.finfo(layers.extinction.dtype).eps)
+        held = (depth <= _DEEPEST) | (layers.coalbedo >= _ABSORBING)
+        return self.indices.same(layers.indices) & held.all()
 
     def _flux(self, abl, depth, albedo, coalbedo, lit: BeamsAndExits) -> Flux:
         """Shares of the light, one value a wavelength."""
         power = lit.power
         beam = jax.vmap(orders.before, (0, 0, None))(abl, depth, lit.beams)
-        after = self._after(abl, depth, albedo, lit.beams.cosine)
+        after = self._after(abl, depth, coalbedo, lit.beams.cosine)
         first = beam.lost * albedo[:, None]
         # The fates are shares of one: what little the tables miss is shared out among the rest.
         ends = after.abl, after.ipe, coalbedo[:, None] * after.collisions
@@ -137,34 +140,32 @@ class RadiativeTabulated(AbstractSolver):
             abl=(beam.abl + first * in_abl) @ power,
             stroma=(beam.lost * coalbedo[:, None] + first * in_stroma) @ power,
             ipe=(beam.passed + first * in_ipe) @ power,
-            brdf=None if lit.exits is None else self._brdf(abl, depth, albedo, lit),
+            brdf=None if lit.exits is None else self._brdf(abl, depth, albedo, coalbedo, lit),
         )
 
-    def _after(self, abl, depth, albedo, cosine) -> orders.ScatteredFates:
+    def _after(self, abl, depth, coalbedo, cosine) -> orders.ScatteredFates:
         """Fates after the first scattering, shape (wavelengths, beams); `cosine`: in the stroma."""
-        at, across = _coordinates(abl, depth, albedo), _of_cosine(cosine, self.indices)
+        at, across = _coordinates(abl, depth, coalbedo), _of_cosine(cosine, self.indices)
         (out,) = _read(self.out, at, across)
         absorbed, ipe, collisions = _read(self.ends, at, across)
-        pole = self._resummed(at, albedo)
         return orders.ScatteredFates(
-            out=out * (jnp.exp(-abl) / (1 + abl) * pole)[:, None],
-            abl=absorbed * (-jnp.expm1(-abl) * pole)[:, None],
-            ipe=ipe * pole[:, None],
-            collisions=collisions * pole[:, None],
+            out=out * (jnp.exp(-abl) / (1 + abl))[:, None],
+            abl=absorbed * -jnp.expm1(-abl)[:, None],
+            ipe=ipe,
+            collisions=collisions,
         )
 
-    def _brdf(self, abl, depth, albedo, lit: BeamsAndExits):
+    def _brdf(self, abl, depth, albedo, coalbedo, lit: BeamsAndExits):
         """BRDF, shape (wavelengths, exits), of light from one direction."""
-        at, table, exits = _coordinates(abl, depth, albedo), self.multiple, lit.exits
+        at, table, exits = _coordinates(abl, depth, coalbedo), self.multiple, lit.exits
         core = jnp.einsum(
             "abziof,i,oe->efabz",
             table.core,
             table.basis(3, _of_cosine(lit.beams.cosine, self.indices))[:, 0],
             table.basis(4, _of_cosine(exits.cosine, self.indices)),
         )
-        along = table.basis(0, at.abl)[:, None] * table.basis(2, at.albedo)[None]
+        along = table.basis(0, at.abl)[:, None] * table.basis(2, at.coalbedo)[None]
         found = jnp.einsum("efabz,bw,azw->wef", core, table.basis(1, at.depth), along)
-        found = found.at[..., 0].multiply(self._resummed(at, albedo)[:, None])
 
         def one(abl, depth, albedo, found):
             lost = orders.before(abl, depth, lit.beams).lost[0]
@@ -177,10 +178,6 @@ class RadiativeTabulated(AbstractSolver):
 
         return jax.vmap(one)(abl, depth, albedo, found)
 
-    def _resummed(self, at: "_Coordinates", albedo):
-        """The leading pole of the sum over orders of scattering, 1/(1 − ω λ)."""
-        return 1 / (1 - albedo * chebyshev_series(self.pole[:, None], at.depth)[0])
-
     def _measure(self) -> float:
         """Largest error of the reflectance between the nodes."""
         rng = np.random.default_rng(0)
@@ -188,7 +185,8 @@ class RadiativeTabulated(AbstractSolver):
         for _ in range(_CHECKS):
             points, outside = _off_nodes(rng, _CHUNK), rng.random(_NODES[3])
             expected = _in_double(_reflectance, points, outside, self.indices)
-            found = _looked_up(self, *(jnp.asarray(x, self.pole.dtype) for x in (points, outside)))
+            dtype = self.out.core.dtype
+            found = _looked_up(self, *(jnp.asarray(x, dtype) for x in (points, outside)))
             lit = expected > 0  # light that is mirrored totally does not come in
             off = np.abs(np.asarray(found)[lit] / expected[lit] - 1)
             error = float(np.maximum(error, off.max(initial=0.0)))
@@ -200,30 +198,29 @@ class _Coordinates(NamedTuple):
 
     abl: jax.Array
     depth: jax.Array
-    albedo: jax.Array
+    coalbedo: jax.Array
 
 
-def _coordinates(abl, depth, albedo) -> _Coordinates:
+def _coordinates(abl, depth, coalbedo) -> _Coordinates:
     """Beyond the deepest, layers of equal albedo are alike."""
     shallow = jnp.minimum(depth, _DEEPEST)
     return _Coordinates(
         _to_unit(jnp.minimum(abl, _DEEPEST_ABL), _DEEPEST_ABL),
         _to_unit(shallow, _DEEPEST),
-        2 * albedo / _most(shallow) - 1,
+        _to_unit(coalbedo, 1.0, _knee_of_coalbedo(shallow)),
     )
 
 
-def _to_unit(depth, deepest: float):
-    return jnp.log1p(depth / _KNEE) * (2 / np.log1p(deepest / _KNEE)) - 1
+def _to_unit(x, largest, knee=_KNEE):
+    return jnp.log1p(x / knee) * (2 / jnp.log1p(largest / knee)) - 1
 
 
-def _depths(n: int, deepest: float) -> np.ndarray:
-    return _KNEE * np.expm1((chebyshev_nodes(n) + 1) / 2 * np.log1p(deepest / _KNEE))
+def _from_unit(unit, largest, knee=_KNEE) -> np.ndarray:
+    return knee * np.expm1((unit + 1) / 2 * np.log1p(largest / knee))
 
 
-def _most(depth):
-    """Largest albedo of the tables at an optical depth."""
-    return _ALBEDO / (1 + depth / _BEND)
+def _knee_of_coalbedo(depth):
+    return 2 / (1 + depth) ** 2
 
 
 def _of_cosine(cosine, indices: RefractiveIndices):
@@ -237,45 +234,41 @@ def _read(table: Tucker, at: _Coordinates, cosine):
     core = jnp.einsum("abzmf,mk->fkbaz", table.core, table.basis(3, cosine))
     core = core.reshape(*core.shape[:3], -1)
     # The products of two short axes first: what is written out between is as short as the third.
-    along = table.basis(0, at.abl)[:, None] * table.basis(2, at.albedo)[None]
+    along = table.basis(0, at.abl)[:, None] * table.basis(2, at.coalbedo)[None]
     along, across = along.reshape(-1, at.abl.size), table.basis(1, at.depth)
     return [((function @ along) * across[None]).sum(1).T for function in core]
 
 
-def _table(indices: RefractiveIndices) -> tuple[np.ndarray, np.ndarray]:
-    """Fates at the nodes, with what they share taken out, and the pole λ's polynomials."""
+def _table(indices: RefractiveIndices) -> np.ndarray:
+    """Fates at the nodes, over their leading dependence on the ABL."""
     points, outside = _nodes(*_NODES[:3]), _outside_nodes(_NODES[3], indices)
     found = _in_double(_fates, points, outside, indices)
-    # Of a sum c/(1 − ω λ) over orders of scattering two values tell λ.
-    shape = _NODES[:3]
-    most, least = (found.collisions.reshape(*shape, -1)[-1, :, k, 0] for k in (0, -1))
-    high, few = (points[:, 2].reshape(shape)[-1, :, k] for k in (0, -1))
-    pole = (most - least) / (high * most - few * least)
-    factor = (1 - points[:, 2].reshape(shape) * pole[None, :, None]).ravel()
-    abl = points[:, 0]
-    scale = factor * np.exp(abl) * (1 + abl), factor / -np.expm1(-abl), factor, factor
-    values = [f * s[:, None] for f, s in zip(found, scale, strict=True)]
-    return np.stack(values, -1).reshape(*_NODES, 4), coefficients(shape[1]) @ pole
+    abl = points[:, :1]
+    scaled = found._replace(
+        out=found.out * (np.exp(abl) * (1 + abl)), abl=found.abl / -np.expm1(-abl)
+    )
+    return np.stack(scaled, -1).reshape(*_NODES, 4)
 
 
-def _brdf_table(indices: RefractiveIndices, pole: np.ndarray) -> np.ndarray:
-    """What light scattered oftener than once adds, the pole 1/(1 − ω λ) taken out of order 0;
-    `pole`: polynomials of λ.
-    """
+def _brdf_table(indices: RefractiveIndices) -> np.ndarray:
+    """What light scattered oftener than once adds, at the nodes."""
     points, outside = _nodes(*_BRDF_NODES[:3]), _outside_nodes(_BRDF_NODES[3], indices)
     found = _in_double(partial(_exactly, orders.multiple_scattering), points, outside, indices)
-    depth = np.asarray(_coordinates(*points.T).depth, np.float64)
-    eigenvalue = np.polynomial.chebyshev.chebval(depth, pole)
-    found[..., 0] *= (1 - points[:, 2] * eigenvalue)[:, None, None]
     return found.reshape(*_BRDF_NODES, 3)
 
 
-def _nodes(n_abl: int, n_depth: int, n_albedo: int) -> np.ndarray:
-    """Chebyshev nodes as (τ_A, τ, ω), shape (points, 3), the albedo's fastest."""
-    albedos = (chebyshev_nodes(n_albedo) + 1) / 2
-    points = grid_points([_depths(n_abl, _DEEPEST_ABL), _depths(n_depth, _DEEPEST), albedos])
-    points[:, 2] *= _most(points[:, 1])
-    return points
+def _nodes(n_abl: int, n_depth: int, n_coalbedo: int) -> np.ndarray:
+    """Depths of layers at the Chebyshev nodes, shape (points, 3), the albedo's fastest."""
+    points = grid_points([chebyshev_nodes(n) for n in (n_abl, n_depth, n_coalbedo)])
+    abl = _from_unit(points[:, 0], _DEEPEST_ABL)
+    depth = _from_unit(points[:, 1], _DEEPEST)
+    coalbedo = _from_unit(points[:, 2], 1.0, _knee_of_coalbedo(depth))
+    return _depths_of(abl, depth, coalbedo)
+
+
+def _depths_of(abl, depth, coalbedo) -> np.ndarray:
+    """Optical depths of layers: the ABL's, absorption and scattering of the stroma."""
+    return np.stack([abl, depth * coalbedo, depth * (1 - coalbedo)], -1)
 
 
 def _outside_nodes(n: int, indices: RefractiveIndices) -> np.ndarray:
@@ -287,35 +280,46 @@ def _outside_nodes(n: int, indices: RefractiveIndices) -> np.ndarray:
 
 
 def _off_nodes(rng: np.random.Generator, count: int) -> np.ndarray:
-    """Points (τ_A, τ, ω) off the nodes, where tissue may be and beyond."""
+    """Depths of layers off the nodes, where tissue may be and beyond: half of the albedos evenly
+    distributed, half near 1.
+    """
     abl = np.exp(rng.uniform(np.log(1e-4), np.log(5.0), count))
     depth = np.exp(rng.uniform(np.log(1e-3), np.log(_DEEPEST), count))
-    return np.stack([abl, depth, rng.random(count) * np.minimum(1, _most(depth))], -1)
+    near_one = np.exp(rng.uniform(np.log(1e-4), 0.0, count))
+    coalbedo = np.where(rng.random(count) < 0.5, near_one, rng.random(count))
+    return _depths_of(abl, depth, coalbedo)
 
 
 def _in_double(function, points: np.ndarray, outside: np.ndarray, indices: RefractiveIndices):
-    """`function` of chunks of points (τ_A, τ, ω), of cosines in the aqueous humour and of the
-    indices: one program for all, in double precision.
+    """`function` of chunks of layers' depths, of cosines in the aqueous humour and of the indices,
+    in double precision: a program for thin stromas and one for others.
     """
+    limit, *each = _THIN
+    thin = points[:, 1] + points[:, 2] <= limit
     with jax.enable_x64(True):
         wide = jax.tree.map(lambda n: jnp.asarray(np.asarray(n, np.float64)), indices)
-        return by_rows(lambda some: function(some, outside, wide), points, _CHUNK)
+        parts = [
+            by_rows(partial(function, outside=outside, indices=wide, how=how), points[at], _CHUNK)
+            for at, how in zip((thin, ~thin), each, strict=True)
+        ]
+    places = np.argsort(np.concatenate([np.flatnonzero(thin), np.flatnonzero(~thin)]))
+    return jax.tree.map(lambda *x: np.concatenate(x)[places], *parts)
 
 
 def _layers_at(points, indices: RefractiveIndices) -> Layers:
-    """Layers of points (τ_A, τ, ω), one a wavelength."""
-    abl, depth, albedo = points.T
-    return Layers(abl, depth * (1 - albedo), depth * albedo, indices, indices.order())
+    """Layers of these depths, one a wavelength."""
+    return Layers(*points.T, indices, indices.order())
 
 
 @eqx.filter_jit
-def _exactly(function, points, outside, indices: RefractiveIndices):
-    """`after` or `multiple_scattering` of `orders` at points (τ_A, τ, ω), the first axis, for beams
-    of cosines in the aqueous humour.
+def _exactly(function, points, outside, indices: RefractiveIndices, how: tuple[int, int]):
+    """`after` or `multiple_scattering` of `orders` for layers' depths (layers, 3) and beams of
+    cosines in the aqueous humour; `how`: polynomials and panels.
     """
     layers = _layers_at(points, indices)
     angles, beams = quadrature_nodes(layers, _ANGLES), from_outside(layers, outside)
-    return jax.lax.map(lambda p: function(*p, angles, beams, _HOW), points, batch_size=32)
+    each = layers.abl_absorption, layers.extinction, layers.albedo
+    return jax.lax.map(lambda one: function(*one, angles, beams, how), each, batch_size=32)
 
 
 _fates = partial(_exactly, orders.after)
@@ -323,14 +327,16 @@ _fates = partial(_exactly, orders.after)
 
 @eqx.filter_jit
 def _first(points, outside, indices: RefractiveIndices) -> orders.Beam:
-    abl, depth, _ = points.T
-    beams = from_outside(_layers_at(points, indices), outside)
-    return jax.vmap(orders.before, (0, 0, None))(abl, depth, beams)
+    layers = _layers_at(points, indices)
+    beams = from_outside(layers, outside)
+    return jax.vmap(orders.before, (0, 0, None))(layers.abl_absorption, layers.extinction, beams)
 
 
-def _reflectance(points, outside, indices: RefractiveIndices):
-    beam, found = _first(points, outside, indices), _fates(points, outside, indices)
-    return beam.reflected + beam.lost * points[:, 2:] * found.out
+def _reflectance(points, outside, indices: RefractiveIndices, how: tuple[int, int]):
+    beam = _first(points, outside, indices)
+    found = _fates(points, outside=outside, indices=indices, how=how)
+    albedo = points[:, 2:] / points[:, 1:].sum(1, keepdims=True)
+    return beam.reflected + beam.lost * albedo * found.out
 
 
 @eqx.filter_jit
