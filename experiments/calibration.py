@@ -16,6 +16,7 @@ import irisjax as ij
 from experiments.common import RESULTS, start, uniform_ranks, write
 from irisjax.infer.fit import fit
 from irisjax.infer.observation import with_values
+from irisjax.infer.parameters import DEFAULT_FREE
 from irisjax.infer.posterior import sample
 from irisjax.infer.store import Store
 
@@ -38,11 +39,18 @@ INSTRUMENTS = {
     "_without_surface": ("the first surface's reflection excluded", GRID, {"first_surface": False}),
 }
 """Instruments by the end of their files' names, with 160 eyes each by ILIT."""
+OF_STRENGTH = {
+    "_strength": ("ilit-2006", ij.ILIT_2006),
+    "_strength_radiative": ("depth-resolved", ij.DEPTH_RESOLVED),
+}
+"""Processes by the end of their files' names, with 80 eyes each whose strength of scattering is
+free.
+"""
 
 
 def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
     """Write ranks of every eye and, by parameter, p-values and coverage, for either process and for
-    other instruments (quick: 3 eyes, a closed formula).
+    other instruments and a free strength of scattering (quick: 3 eyes, a closed formula).
     """
     from irisjax.infer.analytic import KubelkaMunk
 
@@ -56,6 +64,8 @@ def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
         calibrate(of_process, f"process {name}", end, key, eyes or count, out, walkers)
     for end in INSTRUMENTS:
         of_instrument(end, key, eyes or 160, out, walkers)
+    for end in OF_STRENGTH:
+        of_strength(end, key, eyes or 80, out, walkers)
 
 
 def of_instrument(end, key, count, out=RESULTS, walkers=64):
@@ -65,6 +75,15 @@ def of_instrument(end, key, count, out=RESULTS, walkers=64):
         settings = {"bands": ij.Passbands.slit(grid, settings["bands"])}
     problem = ij.problem(ij.spectrum(grid, np.ones(grid.size), **settings), process=ij.ILIT_2006)
     calibrate(problem, f"process ilit-2006, {name}", end, key, count, out, walkers)
+
+
+def of_strength(end, key, count, out=RESULTS, walkers=64):
+    """Write the two tables of one of `OF_STRENGTH`."""
+    name, process = OF_STRENGTH[end]
+    free = [*DEFAULT_FREE, "scattering_scale"]
+    problem = ij.problem(ij.spectrum(GRID, np.ones(GRID.size)), process=process, free=free)
+    about = f"process {name}, strength of scattering free, 0.3 to 40 times"
+    calibrate(problem, about, end, key, count, out, walkers)
 
 
 def calibrate(problem, about, end, key, count, out=RESULTS, walkers=64):

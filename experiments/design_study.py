@@ -15,7 +15,6 @@ from irisjax.infer.fit import fit
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import with_values
 from irisjax.infer.parameters import DEFAULT_FREE, of_iris
-from irisjax.infer.priors import LogUniform
 from irisjax.tissue.pigments import common_range
 
 FREE = (*DEFAULT_FREE, "stroma_thickness")
@@ -50,6 +49,11 @@ def main(key, quick=False, out=RESULTS):
         "radiative transfer": (base, noisy, {"process": ij.DEPTH_RESOLVED}),
         "radiative transfer, scattering by a power law": (base, noisy, {"law": True}),
         "strength of scattering free, 0.3 to 40 times": (base, noisy, {"strength": True}),
+        "radiative transfer, strength of scattering free, 0.3 to 40 times": (
+            base,
+            noisy,
+            {"process": ij.DEPTH_RESOLVED, "strength": True},
+        ),
         "eight bands of 20 to 40 nm": (_bands, noisy, {}),
         "the same measured twice": (_twice, noisy, {}),
         "a second spectrum at 60 degrees": (_two_angles, noisy, {}),
@@ -99,7 +103,6 @@ def _widths(
     problem = ij.problem(
         seen,
         free=[*(n for n in free if n not in fixed), *(["scattering_scale"] if strength else [])],
-        priors={"scattering_scale": LogUniform(0.3, 40.0)} if strength else {},
         fixed={n: truth[n] for n in fixed},
         separate=separate,
         noise=noise,

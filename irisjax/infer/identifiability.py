@@ -9,6 +9,8 @@ from irisjax.infer.fit import Fit
 from irisjax.infer.parameters import OF_POWER_LAW, kind
 from irisjax.infer.problem import Problem
 
+_OF_SCATTERING = "scattering_scale", *OF_POWER_LAW
+
 
 class Direction(NamedTuple):
     """A combination of parameters, Π value^exponent, the largest exponent of size 1 and small ones
@@ -25,8 +27,9 @@ class Information(NamedTuple):
     Attributes:
         directions: Its eigenvectors from the best known to the least known.
         alone: Relative standard deviation of each parameter with all others free; may be infinite.
-        trades: For each free number of a power law: the share of its prior's width that is left,
-            the parameter that it is correlated with most, and that correlation.
+        trades: For the strength of scattering and each number of a power law that are free: the
+            share of the prior's width that is left, the parameter that it is correlated with most,
+            and that correlation.
     """
 
     names: tuple[str, ...]
@@ -73,7 +76,7 @@ def _trades(
     # A parameter on which the data do not depend has no width here, and no correlation.
     seen = np.where(width > 0, width, 1.0)
     correlation, out = covariance / np.outer(seen, seen), {}
-    for i in (i for i in kept if kind(problem.free[i]) in OF_POWER_LAW and len(kept) > 1):
+    for i in (i for i in kept if kind(problem.free[i]) in _OF_SCATTERING and len(kept) > 1):
         most = max((k for k in kept if k != i), key=lambda k: abs(correlation[i, k]))
         out[problem.free[i]] = float(width[i]), problem.free[most], float(correlation[i, most])
     return out

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 
-from irisjax.infer.priors import AbstractPrior, LogitNormal, LogNormal, Uniform
+from irisjax.infer.priors import AbstractPrior, LogitNormal, LogNormal, LogUniform, Uniform
 from irisjax.measure.instrument import GAIN
 from irisjax.numerics.checks import Range
 from irisjax.tissue.iris import BLOOD, LIMITS, MELANIN_LOAD, Iris
@@ -54,7 +54,10 @@ _PRIORS: dict[str, tuple[AbstractPrior, str]] = {
     ),
     "stroma_thickness": (LogNormal(0.2855, 0.2), "LB06 Section 3.1, 20 % either way"),
     "abl_thickness": (LogNormal(0.05675, 0.2), "LB06 Section 3.1, 20 % either way"),
-    "scattering_scale": (LogNormal(1.0, 0.3), "the formula's own value, 30 %"),
+    "scattering_scale": (
+        LogUniform(0.3, 40.0),
+        "no preference up to 40 times LB06's formula; soft tissues 4 to 20 times, Jacques 2013",
+    ),
     "reduced_scattering": (
         LogNormal(1.0, 0.8),
         "soft tissues 0.2 to 5, Jacques 2013; that is 95 % of the prior",
