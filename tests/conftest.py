@@ -14,6 +14,8 @@ gc.disable()  # until all is imported, of which next to nothing is garbage
 
 # The command would otherwise use the user's own cache.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", "")
+# Each worker has a core to itself, and matrices are small.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jaxtyping
 
@@ -36,7 +38,7 @@ def pytest_configure(config):
     """Compiled programs are shared by all workers and later runs; `pytest --cache-clear` deletes
     them, unless the environment names another folder.
     """
-    _compile_in_half_the_time(config.option.markexpr)
+    _compile_quickly(config.option.markexpr)
     config.option.loadscopereorder = False  # or workers begin with the files of most tests
     folder = os.environ.get("IRISJAX_TEST_PROGRAMS")
     if folder:
@@ -58,16 +60,26 @@ def _processor():
     return hashlib.sha256(f"{platform.machine()} {flags}".encode()).hexdigest()[:12]
 
 
-def _compile_in_half_the_time(tier):
-    """Programs of the default tier are compiled without LLVM's optimisation, and their loops by
-    XLA's older code: a program costs a third. The tiers `peer` and `slow` run what users run.
+def _compile_quickly(tier):
+    """Programs of the default tier and of `peer` are compiled without LLVM's optimisation, their
+    loops by XLA's older code, and in one piece instead of 32, of which each is made ready apart: a
+    program costs a third or less. The tier `slow` runs what users run, as do the commands and the
+    notebook that the two run as processes of their own.
     """
-    if "not slow" not in tier or "not peer" not in tier:
+    if "not slow" not in tier:
         return
     flags = ["--xla_backend_optimization_level=0"]
-    if importlib.metadata.version("jaxlib").startswith("0.10."):  # other releases stop at this flag
+    if importlib.metadata.version("jaxlib").startswith("0.10."):  # other releases stop at these
         flags.append("--xla_cpu_use_fusion_emitters=false")
+        flags.append("--xla_cpu_parallel_codegen_split_count=1")
     os.environ.setdefault("XLA_FLAGS", " ".join(flags))
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Files without a test of the tier `peer` are not imported for it."""
+    if config.option.markexpr != "peer and not slow" or not collection_path.match("test_*.py"):
+        return None
+    return b"mark.peer" not in collection_path.read_bytes() or None
 
 
 def _wants_float32(item):
@@ -78,40 +90,53 @@ def _wants_float32(item):
 # CPU seconds of the files that take longest. Workers take files in the order of collection: these
 # first, or one of them is left to one worker when the other has done.
 _LONGEST = {
-    "test_experiments.py": 90,  # the tier `peer`, and the six below
-    "export/test_mitsuba.py": 75,
-    "infer/test_model_comparison.py": 45,
-    "transport/test_general_scattering_peer.py": 40,
-    "infer/test_other_samplers.py": 23,
+    "test_experiments.py": 200,  # the tier `peer`, and the six below
+    "export/test_mitsuba.py": 90,
+    "infer/test_model_comparison.py": 40,
+    "transport/test_general_scattering_peer.py": 45,
+    "infer/test_other_samplers.py": 24,
     "transport/test_polarised_peer.py": 13,
-    "test_notebooks.py": 10,
-    "transport/test_depth_resolved.py": 30,
-    "transport/test_exact_limits.py": 26,
-    "ocularist/test_painted_scenes.py": 26,
-    "render/test_radiative.py": 25,
-    "transport/test_exact.py": 23,
-    "transport/test_polarised.py": 22,
-    "infer/test_analysis.py": 21,
-    "photo/test_clone.py": 21,
-    "render/test_refraction.py": 20,
-    "photo/test_outlines.py": 20,
-    "photo/test_pose.py": 19,
-    "photo/test_pigments_of_windows.py": 18,
-    "transport/test_polarised_montecarlo.py": 17,
-    "ocularist/test_matching.py": 17,
-    "transport/test_montecarlo.py": 17,
-    "render/test_scene.py": 17,
-    "test_stress.py": 17,
-    "test_composition.py": 14,
-    "photo/test_windows.py": 14,
-    "transport/test_sharp_scattering.py": 14,
-    "photo/test_simulated_photographs.py": 14,
-    "render/test_single_scattering.py": 14,
-    "export/test_export.py": 12,
-    "measure/test_polarimeter.py": 10,
-    "test_edge_irides.py": 10,
-    "test_edge_gradients.py": 9,
-    "photo/test_register.py": 9,
+    "test_notebooks.py": 20,
+    "transport/test_transmittance.py": 38,
+    "photo/test_pigments_of_windows.py": 35,
+    "transport/test_exact.py": 31,
+    "photo/test_outlines.py": 27,
+    "ocularist/test_painted_scenes.py": 27,
+    "render/test_refraction.py": 27,
+    "transport/test_polarised_montecarlo.py": 27,
+    "transport/test_montecarlo.py": 26,
+    "infer/test_analysis.py": 26,
+    "transport/test_exact_limits.py": 25,
+    "transport/test_depth_resolved.py": 24,
+    "render/test_scene.py": 22,
+    "photo/test_simulated_photographs.py": 21,
+    "photo/test_pose.py": 21,
+    "test_composition.py": 21,
+    "transport/test_general_scattering.py": 20,
+    "photo/test_windows.py": 19,
+    "render/test_radiative.py": 19,
+    "transport/test_polarised.py": 18,
+    "infer/test_problem.py": 18,
+    "transport/test_sharp_scattering.py": 18,
+    "ocularist/test_matching.py": 18,
+    "test_stress.py": 18,
+    "cli/test_render_command.py": 18,
+    "infer/test_fit.py": 18,
+    "transport/test_radiative_tabulated.py": 18,
+    "photo/test_clone.py": 16,
+    "render/test_single_scattering.py": 16,
+    "measure/test_measure.py": 15,
+    "measure/test_refusals.py": 14,
+    "ocularist/test_cones.py": 13,
+    "optics/test_per_angle.py": 13,
+    "transport/test_tabulated.py": 13,
+    "render/test_pure.py": 12,
+    "cli/test_spectrum_command.py": 12,
+    "test_edge_irides.py": 12,
+    "test_edge_gradients.py": 10,
+    "measure/test_passbands.py": 10,
+    "export/test_export.py": 10,
+    "infer/test_posterior.py": 10,
 }
 
 

@@ -45,8 +45,11 @@ OF_DEPTHS = (
 """Fields of an iris that change its layers' depths alone."""
 
 
+_INDICES = BASE.indices()
+
+
 def edge(name):
-    fields = {"abl_index": BASE.indices().abl, "stroma_index": BASE.indices().stroma, **EDGES[name]}
+    fields = {"abl_index": _INDICES.abl, "stroma_index": _INDICES.stroma, **EDGES[name]}
     # Both melanins shared out alike, each by a number of its own.
     fields.setdefault("pheomelanin_abl_fraction", fields.get("abl_fraction", BASE.abl_fraction))
     return {n: float(fields.get(n, getattr(BASE, n))) for n in NUMBERS}

@@ -45,6 +45,7 @@ def columns(path):
 )
 def test_quick(name, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT))
+    monkeypatch.delenv("XLA_FLAGS", raising=False)  # commands run as users run them
     module = importlib.import_module(f"experiments.{name}")
     module.main(jax.random.key(0), quick=True, out=tmp_path)
     made, results = {p.name for p in tmp_path.iterdir()}, ELSEWHERE.get(name, RESULTS)
