@@ -19,6 +19,7 @@ SOLVERS = {
     "doubling": ij.AddingDoubling(20, 8),
     "polarised": ij.RadiativeExact(12, process=ij.POLARISED),
 }
+BLACK = "ilit", "radiative", "doubling"  # also solved with a black epithelium
 COSINE = 0.8
 
 
@@ -33,9 +34,8 @@ def solved():
     found = {}
     for name, solver in SOLVERS.items():
         run = quick_jit(lambda layers, solver=solver: solver.solve(layers, ij.Light(COSINE)))
-        for mass in (0.0, 0.5, 1e4):
+        for mass in (0.0, 0.5, 1e4, *([None] if name in BLACK else [])):
             found[name, mass] = run(layers_with(mass))
-        found[name, None] = run(layers_with(None))
     return found
 
 
@@ -151,7 +151,7 @@ def test_energy_closes(solved, name):
     assert (solved[name, 0.5].transmitted < solved[name, 0.0].transmitted).all()
 
 
-@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize("name", BLACK)
 def test_a_thick_epithelium_is_black(solved, name):
     thick, black = solved[name, 1e4], solved[name, None]
     assert black.transmitted is None
@@ -186,12 +186,14 @@ def test_derivatives(solver):
 
     def transmitted(values):
         iris = PALE.replace(**dict(zip(names, values, strict=True)))
-        return solver.solve(iris.layers(extinction(WAVES)), ij.Light(1.0)).transmitted
+        found = solver.solve(iris.layers(extinction(WAVES)), ij.Light(1.0)).transmitted
+        return found, found
 
-    run, at, steps = quick_jit(transmitted), jnp.array([0.5, 0.1]), 1e-4 * np.eye(2)
-    found = quick_jit(jax.jacfwd(transmitted))(at)
+    run = quick_jit(jax.jacfwd(transmitted, has_aux=True))
+    at, steps = jnp.array([0.5, 0.1]), 1e-4 * np.eye(2)
+    found, _ = run(at)
     for k, step in enumerate(steps):
-        slope = (run(at + step) - run(at - step)) / 2e-4
+        slope = (run(at + step)[1] - run(at - step)[1]) / 2e-4
         np.testing.assert_allclose(found[:, k], slope, rtol=1e-5)
 
 
