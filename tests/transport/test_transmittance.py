@@ -1,5 +1,7 @@
 """Light that leaves the iris behind, through a pigment epithelium with a melanin mass."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,7 +21,6 @@ SOLVERS = {
     "doubling": ij.AddingDoubling(20, 8),
     "polarised": ij.RadiativeExact(12, process=ij.POLARISED),
 }
-BLACK = "ilit", "radiative", "doubling"  # also solved with a black epithelium
 COSINE = 0.8
 
 
@@ -28,15 +29,33 @@ def layers_with(mass):
     return iris.layers(extinction(WAVES))
 
 
+class Solutions(dict):
+    """Solutions by solver and melanin mass, made when they are asked for; one program a solver."""
+
+    def __missing__(self, case):
+        name, mass = case
+        self[case] = run(PALE.replace(ipe_melanin=mass), SOLVERS[name])
+        return self[case]
+
+
+@functools.partial(quick_jit, static_argnums=1)
+def run(iris, solver):
+    return solver.solve(iris.layers(extinction(WAVES)), ij.Light(COSINE))
+
+
 @pytest.fixture(scope="module")
 def solved():
-    """Solutions by solver and melanin mass, one program a solver."""
-    found = {}
-    for name, solver in SOLVERS.items():
-        run = quick_jit(lambda layers, solver=solver: solver.solve(layers, ij.Light(COSINE)))
-        for mass in (0.0, 0.5, 1e4, *([None] if name in BLACK else [])):
-            found[name, mass] = run(layers_with(mass))
-    return found
+    return Solutions()
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_energy_closes(solved, name):
+    for mass in (0.0, 0.5, 1e4):
+        found = solved[name, mass]
+        np.testing.assert_allclose(found.energy, 1, rtol=1e-12)
+    if name != "ilit":  # whose rays, drawn anew in each layer, a clear one may guide for ever
+        np.testing.assert_allclose(solved[name, 0.0].absorbed.ipe, 0, atol=1e-15)
+    assert (solved[name, 0.5].transmitted < solved[name, 0.0].transmitted).all()
 
 
 # An adding–doubling of its own: operators over directions that share their Snell invariants, in
@@ -142,21 +161,13 @@ def test_adding_doubling_written_apart(solved, k):
 
 
 @pytest.mark.parametrize("name", SOLVERS)
-def test_energy_closes(solved, name):
-    for mass in (0.0, 0.5, 1e4):
-        found = solved[name, mass]
-        np.testing.assert_allclose(found.energy, 1, rtol=1e-12)
-    if name != "ilit":  # whose rays, drawn anew in each layer, a clear one may guide for ever
-        np.testing.assert_allclose(solved[name, 0.0].absorbed.ipe, 0, atol=1e-15)
-    assert (solved[name, 0.5].transmitted < solved[name, 0.0].transmitted).all()
-
-
-@pytest.mark.parametrize("name", BLACK)
 def test_a_thick_epithelium_is_black(solved, name):
-    thick, black = solved[name, 1e4], solved[name, None]
-    assert black.transmitted is None
+    thick = solved[name, 1e4]
     np.testing.assert_array_less(thick.transmitted, 1e-100)
-    np.testing.assert_allclose(thick.reflectance, black.reflectance, rtol=1e-12)
+    if name != "polarised":  # one program more, and its epithelium is the scalar one
+        black = solved[name, None]
+        assert black.transmitted is None
+        np.testing.assert_allclose(thick.reflectance, black.reflectance, rtol=1e-12)
 
 
 def test_polarisation_changes_little_of_it(solved):
