@@ -1,5 +1,5 @@
 """How many of 100 intervals of means and differences of groups contain the truth, by the comparison
-and by plain averages of the fits.
+(from draws of posteriors and from least-squares fits) and by plain averages of the fits.
 """
 
 import matplotlib.pyplot as plt
@@ -8,8 +8,10 @@ import numpy as np
 from paper_figs.common import read, save
 
 LINES = {
-    "mean": ("C0", "o", "mean, compare-groups"),
-    "difference": ("C0", "D", "difference, compare-groups"),
+    "mean": ("C0", "o", "mean, from draws"),
+    "difference": ("C0", "D", "difference, from draws"),
+    "mean by least squares": ("C2", "o", "mean, from fits"),
+    "difference by least squares": ("C2", "D", "difference, from fits"),
     "plain mean": ("C1", "o", "mean, plain average"),
     "plain difference": ("C1", "D", "difference, plain average"),
 }
@@ -24,7 +26,7 @@ def main():
         for i, (quantity, (colour, marker, label)) in enumerate(LINES.items()):
             mine = [r for r in rows if (r["groups"], r["quantity"]) == (kind, quantity)]
             held = [float(r["held_of_100"]) for r in mine]
-            x = np.arange(len(mine)) + 0.12 * (i - 1.5)
+            x = np.arange(len(mine)) + 0.12 * (i - 2.5)
             ax.plot(x, held, marker, color=colour, ms=4, ls="none", label=label)
         ax.axhline(95, color="0.4", lw=0.8)
         names = [r["parameter"].replace("_", "\n") for r in mine]

@@ -22,7 +22,13 @@ from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.model_comparison import compare_processes, other_of
 from irisjax.infer.observation import with_values
 from irisjax.infer.problem import Problem
-from irisjax.io.fits import COVARIANCES, covariance_rows, covariances_beside, read_covariances
+from irisjax.io.fits import (
+    CONVERGED,
+    COVARIANCES,
+    covariance_rows,
+    covariances_beside,
+    read_covariances,
+)
 from irisjax.io.measured import Measured
 from irisjax.transport.process import option_of
 
@@ -31,7 +37,6 @@ OK, DOUBTFUL, FAILED = "ok", "doubtful", "failed"
 """An eye is doubtful where the model does not produce its data, searches disagree, or a value lies
 far outside its prior; it failed where there is no valid result."""
 _FIRST = ("eye", "status", "posterior", "warnings")
-_CONVERGED = "converged"
 _SUFFIXES = {f".{end}" for end in ("csv", "tsv", "txt", "asc", "dx", "jdx", "jcm", "rxt")} | {
     f".{end}" for end in ("sed", "sig", "trt", "ttt", "xlsx")
 }
@@ -251,7 +256,7 @@ def _sampled(problem: Problem, folder: Path, sampler: Sampler, resume: bool) -> 
     try:
         bar = report.progress_bar(True)
         if report.one(problem, folder, sampler, bar, resume=chain.exists(), quiet=True):
-            return {"posterior": _CONVERGED}
+            return {"posterior": CONVERGED}
         posterior, warning = "not long enough", "the chain is not long enough"
     except ValueError as error:
         posterior, warning = "", str(error)
@@ -264,7 +269,7 @@ def _read(path: Path, posteriors: bool) -> dict[str, _Row]:
     if tuple(table.fieldnames or ())[: len(_FIRST)] != _FIRST:
         raise ValueError(f"{path}: is no table of --batch; --overwrite starts again")
     done = (r for r in table if r["status"] != FAILED)
-    return {r["eye"]: r for r in done if r["posterior"] == _CONVERGED or not posteriors}
+    return {r["eye"]: r for r in done if r["posterior"] == CONVERGED or not posteriors}
 
 
 def _table(rows: Mapping[str, _Row], eyes: Iterable[str]) -> str:

@@ -14,11 +14,17 @@ from irisjax.cli.report import csv_of, print_table
 from irisjax.cli.sentences import interval
 from irisjax.infer.model_comparison import Interval
 from irisjax.infer.parameters import unit_of
-from irisjax.infer.populations import PRIOR, population
+from irisjax.infer.populations import KERNELS, PRIOR, population
 from irisjax.infer.repeatability import agreement, intraclass_correlation
 from irisjax.io.fits import FittedEyes, read_fits
 
 _PRODUCT = ("melanin_load", "abl_fraction")  # abl_melanin
+_FEWEST = 5  # effective draws of an eye below which the draws do not reach the group
+_NORMAL = (
+    "likelihood of each eye: normal, the fit divided by its prior (fit --batch --posteriors gives "
+    "draws); where the shrinkage is above 0.5 means and spreads can be off by more than their "
+    "intervals"
+)
 _EYES = 201  # of a group, by whose quantiles the spread of a product is stated
 _Row = dict[str, str | Interval]
 
@@ -74,8 +80,9 @@ def _check_alike(one: FittedEyes, two: FittedEyes) -> None:
 def _compared(one: FittedEyes, two: FittedEyes, seed: int) -> tuple[list[str], list[_Row]]:
     """Remarks, and a row for each parameter."""
     key = jax.random.key(seed, impl="threefry2x32")
+    drawn = one.draws is not None and two.draws is not None
     found = [
-        population(e.z, e.covariance, key=jax.random.fold_in(key, i))
+        population(e.z, e.covariance, e.draws if drawn else None, key=jax.random.fold_in(key, i))
         for i, e in enumerate((one, two))
     ]
     random, typical, spread = np.random.default_rng([seed, 1]), [{}, {}], [{}, {}]
@@ -108,11 +115,20 @@ def _compared(one: FittedEyes, two: FittedEyes, seed: int) -> tuple[list[str], l
         f"{counts}; difference: b less a",
         "mean: the typical eye (mean in the coordinate in which the fits' prior is normal)",
         "spread: half of the range of the central 68 % of eyes",
-        "likelihood of each eye: normal, the fit divided by its prior (least squares); where the "
-        "shrinkage is above 0.5 means and spreads can be off by more than their intervals",
+        _method([group.fewest for group in found]) if drawn else _NORMAL,
         f"priors: {PRIOR}; shrinkage: share by which an eye's own value is drawn to the mean",
         f"the fits' priors: {'; '.join(f'{n} ~ {p}' for n, p in one.priors.items())}",
     ], rows
+
+
+def _method(fewest: Sequence[float]) -> str:
+    """What the likelihoods are made of, and whether the draws reach the groups."""
+    counts = " and ".join(f"{n:.0f}" for n in fewest)
+    said = f"likelihood of each eye: {KERNELS} draws of its posterior, divided by its prior"
+    said = f"{said}; the group's distribution leaves {counts} effective ones or more"
+    if min(fewest) >= _FEWEST:
+        return said
+    return f"WARNING: {said}, too few: means and spreads can be off by more than their intervals"
 
 
 def _repeated(one: FittedEyes, two: FittedEyes) -> tuple[list[str], list[_Row]]:

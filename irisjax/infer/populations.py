@@ -1,16 +1,19 @@
 """The distribution of parameters in a group of eyes, from the fit of each.
 
 Every eye has its own parameters z_i, normal about the group's mean μ with the spreads τ, in the
-coordinates in which the fits' priors are standard normal [Gelman et al. 2013, Section 5.5]. A fit
-gives a normal posterior; divided by its prior it is the eye's likelihood, of precision L_i = C_i⁻¹
-− 1 and information h_i = C_i⁻¹ z_i. z_i and μ are integrated exactly, τ by importance sampling.
+coordinates in which the fits' priors are standard normal [Gelman et al. 2013, Section 5.5]. The
+posterior of an eye, divided by its prior, is the eye's likelihood. A least-squares fit gives a
+normal posterior; draws give a sum of normal kernels with their mean and covariance [West 1993]. In
+either case z_i is integrated exactly; μ and τ are sampled by importance.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.special import log_ndtr, ndtri_exp
+from scipy.stats import norm
 
 from irisjax._types import PRNGKey
 from irisjax.infer.importance import Start, importance_sample
@@ -18,7 +21,8 @@ from irisjax.infer.posterior import words_of
 
 PRIOR = "each mean as an eye in the fits; each spread half-normal, as wide as the fits' prior"
 """The prior of a group, in words."""
-_MOST_NUMBERS = 1 << 22  # of matrices at a time
+KERNELS = 256
+"""Number of draws of an eye's posterior that are used."""
 
 
 class Population(NamedTuple):
@@ -29,17 +33,21 @@ class Population(NamedTuple):
         spread: Their standard deviations between eyes.
         shrinkage: Share by which an eye's own value is drawn towards the mean, on average.
         effective: Number of effective draws.
+        fewest: Smallest effective number of draws of an eye's posterior that the group's
+            distribution leaves; 1 without draws.
     """
 
     mean: Float[np.ndarray, "draws parameters"]
     spread: Float[np.ndarray, "draws parameters"]
     shrinkage: Float[np.ndarray, " parameters"]
     effective: float
+    fewest: float
 
 
 def population(
     z: Float[np.ndarray, "eyes parameters"],
     covariance: Float[np.ndarray, "eyes parameters parameters"],
+    draws: Float[np.ndarray, "eyes kernels parameters"] | None = None,
     *,
     key: PRNGKey,
 ) -> Population:
@@ -48,32 +56,30 @@ def population(
     Args:
         z: Most probable values, in the coordinates in which priors are standard normal.
         covariance: Of the fits, the prior's part included.
+        draws: Of the posteriors, in the same coordinates; they replace the normal approximation.
         key: Source of the draws.
     """
-    free = z.shape[1]
-    inverse = np.linalg.inv(covariance)
-    values, vectors = np.linalg.eigh(inverse - np.eye(free))
-    # Rounding must not leave less than no information.
-    precision = (vectors * np.maximum(values, 0)[:, None]) @ np.swapaxes(vectors, 1, 2)
-    information = (inverse @ z[..., None])[..., 0]
+    free, kernels, width = z.shape[1], z[:, None], covariance
+    if draws is not None:
+        z = draws.mean(axis=1)
+        off = draws - z[:, None]
+        covariance = np.einsum("nki,nkj->nij", off, off) / (draws.shape[1] - 1)
+        # Silverman's width, in units of the whole covariance; kernels are drawn to the mean.
+        share = (4 / (free + 2) / draws.shape[1]) ** (2 / (free + 4))
+        kernels, width = z[:, None] + np.sqrt(1 - share) * off, share * covariance
     random = np.random.RandomState(words_of(key))
+    eyes = [_likelihood(m, c) for m, c in zip(kernels, width, strict=True)]
 
     def log_density(x):
-        _, vector, matrix, rest = _of_spreads(_spread(x), precision, information)
-        fitted = np.einsum("ri,ri->r", vector, np.linalg.solve(matrix, vector[..., None])[..., 0])
-        return rest + 0.5 * (fitted - np.linalg.slogdet(matrix)[1] - (x**2).sum(axis=1))
+        each = (eye(x[:, :free], _spread(x[:, free:]))[0] for eye in eyes)
+        return sum(each) - 0.5 * (x**2).sum(axis=1)
 
-    found = importance_sample(log_density, Start(np.zeros(free), np.eye(free)), random)
-    spread = _spread(found.samples)
-    _, vector, matrix, _ = _of_spreads(spread, precision, information)
-    noise = np.swapaxes(np.linalg.inv(np.linalg.cholesky(matrix)), 1, 2) @ random.standard_normal(
-        (*spread.shape, 1)
-    )
-    mean = np.linalg.solve(matrix, vector[..., None]) + noise
-    typical = np.median(spread, axis=0, keepdims=True)
-    between, *_ = _of_spreads(typical, precision, information)
-    own = np.einsum("nij,nji->ni", between[0], precision).mean(axis=0)
-    return Population(mean[..., 0], spread, 1 - own, found.effective)
+    found = importance_sample(log_density, _moments(z, covariance), random)
+    mean, spread = found.samples[:, :free], _spread(found.samples[:, free:])
+    typical = np.median(mean, axis=0, keepdims=True), np.median(spread, axis=0, keepdims=True)
+    own = np.mean([np.diag(_shared(typical[1], _precision(c))[0][0]) for c in covariance], axis=0)
+    fewest = min(float(eye(*typical)[1][0]) for eye in eyes)
+    return Population(mean, spread, 1 - own, found.effective, fewest)
 
 
 def _spread(x: np.ndarray) -> np.ndarray:
@@ -81,20 +87,49 @@ def _spread(x: np.ndarray) -> np.ndarray:
     return -ndtri_exp(np.log(0.5) + log_ndtr(-x))
 
 
-def _of_spreads(spread, precision, information):
-    """(T⁻¹ + L_i)⁻¹ of the last spreads, and of all: vector and matrix of the means' posterior, and
-    the logarithm of what does not depend on them.
+def _moments(z, covariance) -> Start:
+    """A first guess of means and spreads."""
+    between = np.cov(z.T).reshape(covariance.shape[1:])
+    spread = np.sqrt(np.diag(between)).clip(0.02, 2.5)
+    guess = np.concatenate([z.mean(axis=0), norm.isf(2 * norm.sf(spread))])
+    free, wide = len(spread), 0.09 * np.eye(len(guess))
+    wide[:free, :free] = (between + covariance.mean(axis=0)) / len(z)
+    return Start(guess, wide)
+
+
+def _precision(covariance: np.ndarray) -> np.ndarray:
+    """L = C⁻¹ − 1 of a likelihood; rounding must not leave less than no information."""
+    values, vectors = np.linalg.eigh(np.linalg.inv(covariance) - np.eye(len(covariance)))
+    return (vectors * np.maximum(values, 0)) @ vectors.T
+
+
+def _shared(spread, precision) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """B L, B = (T⁻¹ + L)⁻¹ and log det(1 + T L) for each row of spreads."""
+    root = np.eye(len(precision)) + spread[:, :, None] * precision * spread[:, None, :]
+    between = spread[:, :, None] * np.linalg.inv(root) * spread[:, None, :]
+    return between @ precision, between, np.linalg.slogdet(root)[1]
+
+
+def _likelihood(kernels: np.ndarray, covariance: np.ndarray) -> Callable[..., Any]:
+    """An eye's log likelihood of means and spreads, and the effective number of its kernels.
+
+    A kernel has the information h = C⁻¹ m; the integral of exp(h z − ½ z L z) over z ~ N(μ, T) is
+    exp(½ h B h + h (1 − B L) μ − ½ μ (L − L B L) μ) / √det(1 + T L).
     """
-    each = max(1, _MOST_NUMBERS // precision.size)
-    between, vectors, matrices, rest = precision, [], [], []
-    for t in np.split(spread, range(each, len(spread), each)):
-        t = t[:, None, :]
-        root = np.eye(t.shape[-1]) + t[..., None] * precision * t[..., None, :]
-        between = t[..., None] * np.linalg.inv(root) * t[..., None, :]
-        moved = (between @ information[..., None])[..., 0]
-        matrices.append((precision - precision @ between @ precision).sum(axis=1))
-        vectors.append((information - (precision @ moved[..., None])[..., 0]).sum(axis=1))
-        explained = (information * moved).sum(axis=-1)
-        rest.append(0.5 * (explained - np.linalg.slogdet(root)[1]).sum(axis=1))
-    matrix = np.concatenate(matrices) + np.eye(spread.shape[1])
-    return between, np.concatenate(vectors), matrix, np.concatenate(rest)
+    precision, inverse = _precision(covariance), np.linalg.inv(covariance)
+    information = kernels @ inverse
+    a, b = np.triu_indices(len(covariance))
+    products = information[:, a] * information[:, b] * np.where(a == b, 0.5, 1.0)
+    constant = -0.5 * (information * kernels).sum(axis=1)
+
+    def likelihood(mean, spread):
+        taken, between, volume = _shared(spread, precision)
+        moved = mean - np.einsum("rij,rj->ri", taken, mean)
+        rest = -0.5 * (np.einsum("ri,ij,rj->r", mean, precision, moved) + volume)
+        each = products @ between[:, a, b].T + information @ moved.T + constant[:, None]
+        top = each.max(axis=0)
+        weights = np.exp(each - top)
+        total = weights.sum(axis=0)
+        return rest + top + np.log(total), total**2 / (weights**2).sum(axis=0)
+
+    return likelihood

@@ -11,11 +11,14 @@ import numpy as np
 from jaxtyping import Float
 
 from irisjax.infer.parameters import PARAMETERS, kind
+from irisjax.infer.populations import KERNELS
 from irisjax.infer.priors import AbstractPrior, prior_of
 from irisjax.io.tables import naming
 
 COVARIANCES = ("eye", "parameter", "prior", "other", "covariance")
 """Columns of the file of covariances."""
+CONVERGED = "converged"
+"""In the column `posterior`: the chain is long enough."""
 
 
 class FittedEyes(NamedTuple):
@@ -29,6 +32,8 @@ class FittedEyes(NamedTuple):
             covariance, the gain marginalised.
         process: Of the light, by its name in commands.
         left_out: Names of eyes that are not used, and their status.
+        draws: Of the posteriors in these coordinates, or `None` unless every eye has a converged
+            one (`--posteriors`).
     """
 
     names: tuple[str, ...]
@@ -38,6 +43,7 @@ class FittedEyes(NamedTuple):
     covariance: Float[np.ndarray, "eyes parameters parameters"]
     process: str
     left_out: dict[str, str]
+    draws: Float[np.ndarray, "eyes draws parameters"] | None
 
 
 def covariance_rows(
@@ -104,10 +110,24 @@ def read_fits(path: Path, status: Iterable[str] = ("ok",)) -> FittedEyes:
     kept = [i for i, name in enumerate(known) if kind(name) not in ("gain", "noise")]
     if not kept:
         raise ValueError(f"{path}: no parameter of the iris is free")
+    free, draws = {n: known[n] for i, n in enumerate(known) if i in kept}, None
+    if all(row.get("posterior") == CONVERGED for row in eyes.values()):
+        draws = np.stack([_drawn(path.parent / name / "posterior.nc", free) for name in eyes])
     return FittedEyes(
-        tuple(eyes), {n: known[n] for i, n in enumerate(known) if i in kept}, values[:, kept],
-        z[:, kept], covariance[:, kept][:, :, kept], process, left,
+        tuple(eyes), free, values[:, kept], z[:, kept], covariance[:, kept][:, :, kept], process,
+        left, draws,
     )  # fmt: skip
+
+
+def _drawn(path: Path, priors: Mapping[str, AbstractPrior]) -> np.ndarray:
+    """Draws of a posterior's file, evenly over its walkers and steps."""
+    import h5netcdf
+
+    with h5netcdf.File(path) as file:
+        found = file["posterior"].variables
+        every = [prior.standard(np.ravel(found[n])) for n, prior in priors.items()]
+    at = np.linspace(0, every[0].size - 1, KERNELS).astype(int)
+    return np.stack([np.asarray(x)[at] for x in every], axis=1)
 
 
 def _in_standard(prior: AbstractPrior, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ from refusals import one_line
 from irisjax.cli import report
 from irisjax.infer.priors import LogNormal, Uniform
 from irisjax.io.fits import COVARIANCES, covariance_rows
+from irisjax.io.posterior import write_posterior
 
 PRIORS = {"melanin_load": LogNormal(0.15, 1.2), "abl_fraction": Uniform(0, 1)}
 
@@ -60,6 +61,31 @@ def test_two_groups_differ_by_what_their_eyes_do(irisjax, tmp_path):
     assert float(rows["abl_fraction"]["difference_q2.5"]) < 0
     assert irisjax("compare-groups", a, b)[1] == printed  # draws repeat
     assert "12 eyes in a" in irisjax("compare-groups", a, b, "--doubtful")[1]
+
+
+def test_draws_replace_fits_where_every_eye_has_them(irisjax, tmp_path):
+    a, b = write(tmp_path / "a", 0.2, eyes=4), write(tmp_path / "b", 0.4, eyes=4, seed=1)
+    random = np.random.default_rng(0)
+    for folder, load in ((a, 0.1), (b, 0.3)):  # other loads than the fits'
+        table = (folder / "fits.csv").read_text().splitlines()
+        table = [
+            f"{x},{tag}" for x, tag in zip(table, ["posterior", *["converged"] * 4], strict=True)
+        ]
+        (folder / "fits.csv").write_text("\n".join(table))
+        for i in range(4):
+            (folder / f"e{i}").mkdir()
+            loads = load * np.exp(0.1 * random.standard_normal((4, 100)))
+            drawn = {"melanin_load": loads, "abl_fraction": random.uniform(0.3, 0.6, (4, 100))}
+            arrays = {n: (("chain", "draw"), x) for n, x in drawn.items()}
+            write_posterior(folder / f"e{i}" / "posterior.nc", {"posterior": arrays}, {}, {})
+    status, printed, _ = irisjax("compare-groups", a, b, "-o", tmp_path / "groups.csv")
+    assert status == 0 and "256 draws of its posterior" in printed and "WARNING" not in printed
+    load = table_of(tmp_path / "groups.csv")["melanin_load"]
+    assert float(load["mean_a"]) == pytest.approx(0.1, rel=0.1)
+    assert float(load["mean_b"]) == pytest.approx(0.3, rel=0.1)
+    text = (b / "fits.csv").read_text()
+    (b / "fits.csv").write_text(text.replace("converged", "not long enough", 1))
+    assert "normal, the fit divided" in irisjax("compare-groups", a, b)[1]
 
 
 def test_eyes_measured_twice_are_matched_by_name(irisjax, tmp_path):
