@@ -4,11 +4,11 @@ Each study has two groups of 20 eyes: means and spreads of their parameters are 
 groups, spectra (31 wavelengths, ILIT, noise of 2 % + 2e-4) from the eyes. Every eye is fitted by
 least squares as in `irisjax fit --batch`, and draws of its posterior are made as for
 `--posteriors`, but by importance sampling alone. Both groups are inferred from the draws, and from
-the fits. In the coordinates in which the fits' priors are standard normal, groups are either ordinary (means normal
-with sd 0.5, spreads half-normal with 0.3) or as far out as the priors of the comparison reach (1
-and 1), where the likelihoods of many eyes are far from normal. For means, spreads and differences:
-how many of 100 intervals of 95 % contain the truth; the same of plain averages of the fits with
-their standard errors. Everything is simulated. Writes groups.csv.
+the fits. In the coordinates in which the fits' priors are standard normal, groups are either
+ordinary (means normal with sd 0.5, spreads half-normal with 0.3) or as far out as the priors of the
+comparison reach (1 and 1), where the likelihoods of many eyes are far from normal. For means,
+spreads and differences: how many of 100 intervals of 95 % contain the truth; the same of plain
+averages of the fits with their standard errors. Everything is simulated. Writes groups.csv.
 """
 
 from pathlib import Path
