@@ -17,6 +17,7 @@ from irisjax import io
 ROOT = Path(__file__).parent.parent
 FOLDER = Path(__file__).parent / "how-to" / "files"
 SPECTRA = ROOT / "data" / "spectra"
+SLIT = ROOT / "data" / "instruments" / "avasoft_slit_20nm.ttt"
 X, R = io.read_measured(SPECTRA / "simulated_low.csv")[:2]
 MODERATE = io.read_measured(SPECTRA / "simulated_moderate.csv").values
 
@@ -138,9 +139,52 @@ FILES["gaps.csv"] = "\n".join(line.split("#")[0] for line in FILES["gaps.csv"].s
 ENCODINGS = {"excel_german.csv": "cp1252", "excel_unicode.txt": "utf-16"}
 
 
+def through_a_slit():
+    """An iris by radiative transfer through a slit of 20 nm, with noise, as AvaSoft writes it."""
+    x = np.arange(400.0, 701.0, 5.0)
+    iris = ij.Iris().replace(melanin_load=0.2, abl_fraction=0.4, hemoglobin=0.12, saturation=0.6)
+    instrument = ij.Spectrophotometer(x, bands=ij.Passbands.slit(x, 20.0))
+    r = np.asarray(ij.observe(iris, instrument, ij.RadiativeExact()).values)
+    r = r + (0.01 * r + 5e-5) * np.random.default_rng(5).standard_normal(x.size)
+    dark, white = 950 + 0 * x, 950 + 42000 * np.exp(-(((x - 560) / 130) ** 2))
+    text = AVASOFT.replace("0912086U1", "0912086U1 (simulated by irisjax, slit of 20 nm)")
+    return text + rows(";", x, dark + (white - dark) * r, dark, white, 100 * r, decimal=",") + "\n"
+
+
+def eight_bands():
+    """A light eye through eight filters, and a table of these."""
+    centre = np.array([420.0, 450, 480, 520, 560, 590, 630, 680])
+    fwhm = np.array([20.0, 25, 25, 30, 30, 25, 35, 40])
+    fine = np.arange(400.0, 701.0)
+    weight = np.exp(-4 * np.log(2) * ((fine - centre[:, None]) / fwhm[:, None]) ** 2)
+    values = (weight * np.interp(fine, X, CLEAN)).sum(1) / weight.sum(1)
+    values *= 1 + 0.02 * np.random.default_rng(6).standard_normal(8)
+    return (
+        "nm,R %\n" + rows(",", centre, 100 * values) + "\n",
+        "centre,fwhm\n" + rows(",", centre, fwhm) + "\n",
+    )
+
+
+def blocks():
+    """A JCAMP file with two blocks, an eye each."""
+    each = [
+        JCAMP.format(unit="REFLECTANCE").replace("eye, left", title)
+        + rows(", ", X, y)
+        + "\n##END=\n"
+        for title, y in (("eye, left", R), ("eye, right", MODERATE))
+    ]
+    head = "##TITLE=both eyes\n##JCAMP-DX=4.24\n##DATA TYPE=LINK\n##BLOCKS=2\n"
+    return head + "".join(each) + "##END=\n"
+
+
 def main():
     """Write all of them; print what reading them says."""
     FOLDER.mkdir(exist_ok=True)
+    SLIT.parent.mkdir(exist_ok=True)
+    SLIT.write_text(through_a_slit())
+    for name, text in zip(("eight_bands.csv", "bands.csv"), eight_bands(), strict=True):
+        (SLIT.parent / name).write_text(text)
+    (SLIT.parent / "blocks.jdx").write_text(blocks())
     for name, text in FILES.items():
         path = FOLDER / name
         path.write_bytes((text + "\n").encode(ENCODINGS.get(name, "utf-8")))
