@@ -90,14 +90,16 @@ def _wants_float32(item):
 # CPU seconds of the files that take longest. Workers take files in the order of collection: these
 # first, or one of them is left to one worker when the other has done.
 _LONGEST = {
-    "test_experiments.py": 200,  # the tier `peer`, and the six below
-    "export/test_mitsuba.py": 90,
-    "infer/test_model_comparison.py": 40,
-    "transport/test_general_scattering_peer.py": 45,
-    "infer/test_other_samplers.py": 24,
+    "test_experiments.py": 99,  # the tier `peer`, and the eight below
+    "cli/test_compiled.py": 46,
+    "transport/test_general_scattering_peer.py": 43,
+    "export/test_mitsuba.py": 37,
+    "test_pages.py": 36,
+    "test_notebooks.py": 25,
+    "infer/test_model_comparison.py": 16,
     "transport/test_polarised_peer.py": 13,
-    "test_notebooks.py": 20,
-    "transport/test_transmittance.py": 38,
+    "infer/test_other_samplers.py": 11,
+    "transport/test_transmittance.py": 28,
     "photo/test_pigments_of_windows.py": 35,
     "transport/test_exact.py": 31,
     "photo/test_outlines.py": 27,
@@ -127,7 +129,6 @@ _LONGEST = {
     "render/test_single_scattering.py": 16,
     "measure/test_measure.py": 15,
     "measure/test_refusals.py": 14,
-    "ocularist/test_cones.py": 13,
     "optics/test_per_angle.py": 13,
     "transport/test_tabulated.py": 13,
     "render/test_pure.py": 12,

@@ -188,7 +188,7 @@ for process in (ij.ILIT_2006, ij.DEPTH_RESOLVED):
 
 
 def _start(n_devices, *arguments):
-    flags = f"--xla_force_host_platform_device_count={n_devices}"
+    flags = f"--xla_force_host_platform_device_count={n_devices} --xla_backend_optimization_level=0"
     return subprocess.Popen(
         [sys.executable, "-c", _PROGRAM, *arguments],
         env={**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "JAX_ENABLE_X64": "1"},
