@@ -106,6 +106,11 @@ def _rows_of_numbers(lines: _Lines) -> _Rows:
     # The table is the rows of the commonest width; numbers of a preamble have another.
     width = max(found.values(), key=list(found.values()).count)
     first, last = next(i for i, n in found.items() if n == width), max(found)
+    for number, line in lines[max(first - 1, 0) : first]:  # a faulty row, no names
+        cells = _cells(line, separator)
+        if len(cells) == width and np.isfinite(_number(cells[0], comma) or np.nan):
+            wrong = next(c for c in cells if _number(c, comma) is None)
+            raise ValueError(f"line {number}: {wrong!r} is not a number")
     values, where, below = [], [], lines[last + 1 :]
     for number, line in lines[first:]:
         cells = _cells(line, separator)

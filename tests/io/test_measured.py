@@ -100,6 +100,12 @@ def test_what_the_tables_do_not_cover_is_left_out(tmp_path):
         io.read_measured(path, wavelengths=(900, 1000))
 
 
+@pytest.mark.parametrize("text", ["nm,R\n400,oops\n410,0.03\n", "400,oops\n410,0.03\n420,0.03\n"])
+def test_a_first_row_that_is_no_number_is_refused(tmp_path, text):
+    with pytest.raises(ValueError, match=r"line \d: 'oops' is not a number"):
+        io.read_measured(written(tmp_path, text))
+
+
 def test_missing_values_are_skipped_and_counted(tmp_path):
     text = "nm,R %\n400,3\n410,\n420,NaN\n430,#N/A\n440,3.1\n"
     found = io.read_measured(written(tmp_path, text))
