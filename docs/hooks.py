@@ -15,8 +15,9 @@ PAGES = {"changelog.md": "CHANGELOG.md"}  # page of the site: file of the reposi
 
 def on_files(files, config):
     """Add the files that the site takes from outside docs/."""
-    for picture in sorted((ROOT / "paper_figs").glob("*.png")):
-        name = f"paper_figs/{picture.name}"
+    results = ROOT / "experiments" / "results" / "meeting_colours.png"
+    for picture in (*sorted((ROOT / "paper_figs").glob("*.png")), results):
+        name = picture.relative_to(ROOT).as_posix()
         files.append(File.generated(config, name, abs_src_path=str(picture)))
     for name, source in PAGES.items():
         files.append(File.generated(config, name, abs_src_path=str(ROOT / source)))
@@ -25,4 +26,5 @@ def on_files(files, config):
 
 def on_page_markdown(markdown, page, config, files):
     """Turn links out of docs/ to pictures into links within the site."""
-    return re.sub(r"\]\(\.\./((?:\.\./)*paper_figs/[^)\s]+\.png)\)", r"](\1)", markdown)
+    pictures = r"(?:\.\./)*(?:paper_figs|experiments/results)/[^)\s]+\.png"
+    return re.sub(rf"\]\(\.\./({pictures})\)", r"](\1)", markdown)
