@@ -93,9 +93,11 @@ class RadiativeTabulated(AbstractSolver):
         fates, dtype = _table(indices), jnp.result_type(float)
         # `out` by itself: who wants no more pays for no more.
         each = fates[..., :1], fates[..., 1:], _brdf_table(indices)
-        parts = (Tucker.of(x, left, dtype) for x, left in zip(each, _LEFT_OUT, strict=True))
+        out, ends, multiple = (
+            Tucker.of(x, left, dtype) for x, left in zip(each, _LEFT_OUT, strict=True)
+        )
         dense = bool(indices.aqueous > min(indices.abl, indices.stroma, indices.ipe))
-        table = cls(*parts, indices, 0.0, dense)
+        table = cls(out, ends, multiple, indices, 0.0, dense)
         error = table._measure()
         if error > tolerance:
             raise ValueError(
@@ -211,11 +213,11 @@ def _coordinates(abl, depth, coalbedo) -> _Coordinates:
     )
 
 
-def _to_unit(x, largest, knee=_KNEE):
+def _to_unit(x, largest: float, knee: jax.Array | float = _KNEE):
     return jnp.log1p(x / knee) * (2 / jnp.log1p(largest / knee)) - 1
 
 
-def _from_unit(unit, largest, knee=_KNEE) -> np.ndarray:
+def _from_unit(unit, largest: float, knee: np.ndarray | float = _KNEE) -> np.ndarray:
     return knee * np.expm1((unit + 1) / 2 * np.log1p(largest / knee))
 
 
@@ -308,7 +310,8 @@ def _in_double(function, points: np.ndarray, outside: np.ndarray, indices: Refra
 
 def _layers_at(points, indices: RefractiveIndices) -> Layers:
     """Layers of these depths, one a wavelength."""
-    return Layers(*points.T, indices, indices.order())
+    abl, absorption, scattering = points.T
+    return Layers(abl, absorption, scattering, indices, indices.order())
 
 
 @eqx.filter_jit
