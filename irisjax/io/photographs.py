@@ -1,5 +1,6 @@
 """Photographs of all kinds, cameras' raw files too, as pixels in proportion to light."""
 
+import tempfile
 from functools import reduce
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,8 +17,10 @@ from irisjax.photo.photograph import Photograph
 if TYPE_CHECKING:
     import OpenImageIO
 
-PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr")
-"""Suffixes of photographs that can be read besides `camera.RAW`."""
+PHOTOGRAPHS = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".exr", ".webp")
+"""Suffixes of photographs that can be read besides `camera.RAW` and `HEIF`."""
+HEIF = (".heic", ".heif")
+"""Suffixes of telephones' photographs, which need `pillow_heif`."""
 MOST_PIXELS, LEAST_SIDE = 100_000_000, 64
 """Most pixels of a picture, and least number along its shorter side."""
 
@@ -33,7 +36,8 @@ _ENCODINGS = ("", "srgb_rec709_scene", "srgb_rec709_display", "sRGB", "lin_rec70
 def read_photograph(path: str | Path) -> Photograph:
     """Read a photograph; pixels are linear float32 on sRGB's primaries, upright according to Exif.
 
-    JPEG, PNG and TIFF of 8 or 16 bits are decoded by their embedded ICC profile, or else as sRGB.
+    JPEG, PNG, WebP, HEIC and TIFF of 8 or 16 bits are decoded by their embedded ICC profile, or
+    else as sRGB. HEIC needs `pillow_heif` (`irisjax[heic]`).
     OpenEXR, and TIFF of floating point, are taken as linear; they have no largest value, so none of
     their pixels counts as saturated. If their brightest pixels are far from 1, all are divided by
     these. Camera raw files need `rawpy` (`irisjax[raw]`) and get the camera's white balance. Of a
@@ -43,12 +47,16 @@ def read_photograph(path: str | Path) -> Photograph:
     Raises:
         ValueError: For another suffix, a broken or truncated file, more than `MOST_PIXELS` pixels
             or fewer than `LEAST_SIDE` along a side, CMYK, layered channels, values that are not
-            finite, and raw files without `rawpy`.
+            finite, raw files without `rawpy` and HEIC without `pillow_heif`.
         OSError: If the file cannot be opened.
     """
     suffix, name = Path(path).suffix.lower(), Path(path).name
+    if suffix in HEIF:
+        with naming(path), tempfile.TemporaryDirectory() as folder:
+            there = _as_png(path, Path(folder))
+            return read_photograph(there)._replace(name=name)
     if suffix not in (*RAW, *PHOTOGRAPHS):
-        kinds = f"{', '.join(PHOTOGRAPHS)}, or of camera raw in {' '.join(RAW)}"
+        kinds = f"{', '.join((*PHOTOGRAPHS, *HEIF))}, or of camera raw in {' '.join(RAW)}"
         raise ValueError(f"{path}: a photograph's name must end in {kinds}")
     with naming(path):
         if suffix in RAW:
@@ -69,6 +77,25 @@ def read_photograph(path: str | Path) -> Photograph:
     focal = focal_px(exif, size, notes)
     _settle_negatives(pixels, notes)
     return Photograph(pixels, saturated, grey, focal, name, tuple(notes))
+
+
+def _as_png(path: str | Path, folder: Path) -> Path:
+    """Write a HEIC file as a PNG with its profile and Exif."""
+    with open(path, "rb"):  # the system's word on files that are missing or forbidden
+        pass
+    try:
+        import pillow_heif  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        need = "HEIC needs pillow_heif: install irisjax[heic] (pip install pillow-heif), or convert"
+        raise ValueError(f"{need} the photograph to JPEG") from None
+    try:
+        image = pillow_heif.open_heif(path).to_pillow()
+    except (ValueError, OSError, RuntimeError) as error:
+        raise ValueError(f"not a picture that can be read ({error})") from None
+    there = folder / "photograph.png"
+    kept = {n: image.info[n] for n in ("icc_profile", "exif") if image.info.get(n)}
+    image.convert("RGB").save(there, compress_level=1, **kept)
+    return there
 
 
 def _check(spec: "OpenImageIO.ImageSpec") -> None:

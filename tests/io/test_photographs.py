@@ -1,7 +1,9 @@
 """Photographs: what the file says of light, colours, the way up and the lens is obeyed."""
 
 import struct
+import sys
 import zlib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -32,6 +34,23 @@ def test_jpeg(tmp_path):
     for name in ("none.jpg", "none.nef"):
         with pytest.raises(FileNotFoundError):
             io.read_photograph(tmp_path / name)
+
+
+def test_photographs_of_telephones(tmp_path, monkeypatch):
+    """WebP is read; HEIC with an extra, which the refusal names."""
+    Image.fromarray(smooth()).save(tmp_path / "p.webp", lossless=True)
+    found = io.read_photograph(tmp_path / "p.webp")
+    np.testing.assert_allclose(found.pixels, srgb_decode(smooth() / 255), rtol=1e-6, atol=1e-9)
+    (tmp_path / "p.heic").write_bytes(b"ftypheic")
+    monkeypatch.setitem(sys.modules, "pillow_heif", None)
+    with pytest.raises(ValueError, match=r"p\.heic: HEIC needs pillow_heif.* to JPEG"):
+        io.read_photograph(tmp_path / "p.heic")
+    opened = SimpleNamespace(to_pillow=lambda: Image.fromarray(smooth()))
+    heif = SimpleNamespace(open_heif=lambda path: opened)
+    monkeypatch.setitem(sys.modules, "pillow_heif", heif)
+    found = io.read_photograph(tmp_path / "p.heic")
+    np.testing.assert_allclose(found.pixels, srgb_decode(smooth() / 255), rtol=1e-6, atol=1e-9)
+    assert found.name == "p.heic"
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
@@ -166,7 +185,7 @@ def png_header(path, columns, rows):
         (lambda p: png_header(p / "p.png", 20000, 20000), "header claims a 1144 MB image"),
         (lambda p: claiming(p / "p.jpg", 900, 900), "the picture is broken"),
         (lambda p: write(p / "p.png", steps()[:40]), r"96 × 40 pixels; a photograph has at least 64"),
-        (lambda p: p / "p.heic", r"p\.heic: a photograph's name must end in .*\.jpg.*\.dng"),
+        (lambda p: p / "p.gif", r"p\.gif: a photograph's name must end in .*\.jpg.*\.dng"),
         (lambda p: p / "p", "must end in"),
         (lambda p: Image.new("CMYK", (90, 90)).save(p / "p.jpg") or p / "p.jpg", "CMYK picture for printing"),
         (lambda p: Image.new("CMYK", (90, 90)).save(p / "p.tif") or p / "p.tif", "CMYK picture for printing"),
