@@ -8,12 +8,16 @@ from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.photograph import Ellipse, ellipse_through
 from irisjax.photo.pose import (
     DECENTRED,
+    FLATTER,
+    LIMBUS_FLAT,
     LIMBUS_OVAL,
     LIMBUS_RADII,
     PUPIL_OVAL,
+    PUPIL_SHIFT,
     find_pose,
     limbus_spread,
     tilts_allowed,
+    tilts_of_people,
 )
 from irisjax.render.camera import Camera
 
@@ -169,3 +173,51 @@ def test_a_frontal_eye_may_be_tilted():
         assert low == 0
         assert widest[0] < np.degrees(high) < widest[1]
         assert spread[0] < np.degrees(sd) < spread[1]
+
+
+def _measured(limbus, pupil, **given):
+    return find_pose(limbus, pupil, EYE, flattening_sd=(0.005, 0.005), **given)
+
+
+def test_a_limbus_flat_as_people_have_it_is_not_tilted():
+    """3 % wider than high, with a round pupil a little above its middle."""
+    limbus, pupil = outlines(EYE, camera_at())
+    r = limbus.mean_radius
+    found = _measured(limbus._replace(semi_axes=(1.015 * r, 0.985 * r), angle=0.0), pupil)
+    low, high = np.degrees(found.tilt_interval)
+    assert np.degrees(found.tilt) < 5 and low == 0 and 8 < high < 20
+    assert found.stretched < 0.1
+
+
+def test_a_stretched_file_is_not_a_tilted_eye_for_sure():
+    """By a sixth: limbus and pupil are equally flat, and the pupil is in the middle."""
+    limbus, pupil = (
+        e._replace(semi_axes=(1.16 * e.mean_radius, e.mean_radius), angle=0.0)
+        for e in outlines(EYE, camera_at())
+    )
+    found = _measured(limbus, pupil)
+    assert found.stretched > 0.5
+    assert found.tilt_interval[0] == 0
+
+
+@pytest.mark.parametrize("degrees", [0.0, 15.0, 30.0])
+def test_intervals_hold_the_tilt_of_peoples_eyes(degrees):
+    """19 of 20, of eyes oval and pupils decentred as people's are."""
+    random = np.random.default_rng(int(degrees))
+    held, number = 0, 40
+    for _ in range(number):
+        side = random.uniform(0, 2 * np.pi)
+        turned = -np.log(np.cos(np.radians(degrees))) * np.exp(2j * (side + np.pi / 2))
+        of_limbus, of_pupil = (
+            complex(*random.normal(0, sd, 2)) for sd in (LIMBUS_OVAL, PUPIL_OVAL)
+        )
+        circle = Ellipse((300.0, 300.0), (100.0, 100.0))
+        limbus = _flattened(circle, turned + LIMBUS_FLAT + of_limbus)
+        aside = complex(*random.normal(0, DECENTRED / 5.9, 2)) + 0.2j / 5.9
+        aside += PUPIL_SHIFT * np.sin(np.radians(degrees)) * np.exp(1j * side)
+        pupil = _flattened(circle.scaled(0.4), turned / FLATTER + of_pupil)
+        pupil = pupil._replace(centre=(300 + 100 * aside.real, 300 - 100 * aside.imag))
+        spread = np.array([LIMBUS_OVAL, PUPIL_OVAL])
+        _, (low, high), _ = tilts_of_people(limbus, pupil, spread)
+        held += np.degrees(low) <= degrees <= np.degrees(high)
+    assert held >= 0.9 * number
