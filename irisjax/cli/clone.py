@@ -16,7 +16,7 @@ from irisjax.cli.compiled import kept_tables
 from irisjax.cli.files import check_folder
 from irisjax.cli.scenes import lamps
 from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
-from irisjax.io.clones import CLONE_FILES, files_of
+from irisjax.io.clones import CLONE_FILES, OVERLAY, files_of, overlay_of
 from irisjax.io.photographs import read_photograph
 from irisjax.numerics.checks import Range
 from irisjax.photo import clone as cloning
@@ -28,13 +28,19 @@ from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.separable import Separable
 
 _NOT_SURE = 3
+_SMALL_PART = 0.3  # share of the photograph's pixels below which the part that is used is named
 _FIGURES = "side_by_side.png", "differences.png", "luminance.png"
 _PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
 _DEFAULTS = cloning.CloneSettings()
 
 
 class ClonePicture(opt.Group, panel="Photograph"):
-    photograph: Path = opt.argument("JPEG, PNG, TIFF, EXR or camera raw", "PHOTO", ...)
+    photograph: Path = opt.argument("JPEG, PNG, WebP, HEIC, TIFF, EXR or camera raw", "PHOTO", ...)
+    eye: str | None = opt.option(
+        "which of several eyes: left or right as the picture shows them, or its number from the "
+        "left; default: the one that is seen best",
+        metavar="left|right|N",
+    )
     focal_px: float | None = opt.number(
         "focal length; default: the file's own", Range(10, 1e6, "pixels")
     )
@@ -89,6 +95,7 @@ class ClonePicture(opt.Group, panel="Photograph"):
             visible=_mask(self.visible),
             maps=None if self.maps is None else io.read_maps(self.maps),
             second=None if self.second is None else read_photograph(self.second),
+            eye=self.eye,
         )
 
 
@@ -180,7 +187,9 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
                     }
         except ValueError as error:
             if not isinstance(found, cloning.Shaped):
-                raise
+                folder.mkdir(parents=True, exist_ok=True)
+                io.write_together({folder / OVERLAY: overlay_of(found)})
+                raise ValueError(f"{error}; look at {folder / OVERLAY}") from None
             failed = (f"{wanted[len(timings)]}: {error}; the stages before it are written",)
         bar.close()
         for note in photograph.notes:
@@ -205,6 +214,15 @@ def report(
     found: cloning.Outlined, cross_polarised: bool, folder: Path, doubts: tuple[str, ...]
 ) -> None:
     """Print what was found, and on standard error what is doubtful."""
+    left, right, top, bottom = found.crop()
+    rows, columns = found.photograph.shape
+    if found.boundaries.eyes > 1 or (right - left) * (bottom - top) < _SMALL_PART * rows * columns:
+        number = found.boundaries.eyes
+        several = f"of {number} eyes the one" if number > 1 else "the eye"
+        print(
+            f"{several} in columns {left} to {right}, rows {top} to {bottom} is cloned"
+            + (" (--eye takes another)" if number > 1 else "")
+        )
     for doubt in doubts:
         opt.tell(f"WARNING: {doubt}")
     if isinstance(found, cloning.Posed):

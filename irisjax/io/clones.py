@@ -11,6 +11,7 @@ from irisjax.io.maps import encode_maps
 from irisjax.io.sections import plain, toml_of
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.clone import Fitted, Flat, Outlined, PictureDifference, Posed, Sampled, Shaped
+from irisjax.photo.overlay import draw_overlay
 from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pigments import PIGMENT_UNITS, concentrations_of, iris_of_concentrations
 from irisjax.photo.pose import Pose, limbus_spread
@@ -20,8 +21,10 @@ from irisjax.render.integrators import integrator_name
 
 UNREFRACTED_PICTURE, VISIBLE_MASK = "unrefracted.png", "visible.png"
 """Names of the texture's picture, and of the mask of texels that show the iris."""
+OVERLAY = "outlines.png"
+"""Name of the photograph with what was found in it."""
 CLONE_FILES = (
-    *("clone.json", UNREFRACTED_PICTURE, VISIBLE_MASK, "freckles.png", "deconvolved.png"),
+    *("clone.json", OVERLAY, UNREFRACTED_PICTURE, VISIBLE_MASK, "freckles.png", "deconvolved.png"),
     *("maps.exr", "scene.toml", "environment.exr", "convergence.csv"),
 )
 """Names of all files that `files_of` may write."""
@@ -42,7 +45,7 @@ def files_of(
     summary = _summary(clone, settings, timings) | {"doubts": doubts}
     summary |= {} if pictures is None else {"picture_rms": pictures.rms}
     text = json.dumps(plain(summary, 8), indent=1, allow_nan=False) + "\n"
-    found = {"clone.json": text.encode()}
+    found = {"clone.json": text.encode(), OVERLAY: overlay_of(clone)}
     if isinstance(clone, Flat):
         encoded = np.clip(np.asarray(srgb_encode(clone.texture.pixels)), 0, 1)
         sides = f"; x, y from -{HALF_WIDTH:g} to {HALF_WIDTH:g} mm, row 0 at the top"
@@ -65,6 +68,11 @@ def files_of(
     return found
 
 
+def overlay_of(clone: Outlined) -> bytes:
+    """Return the bytes of `OVERLAY`."""
+    return encode_png(OVERLAY, draw_overlay(clone), remark=_REMARK)[0]
+
+
 def _summary(
     clone: Outlined, settings: Mapping[str, object], timings: Mapping[str, float]
 ) -> dict[str, object]:
@@ -76,6 +84,8 @@ def _summary(
         "settings": settings,
         "limbus": _ellipse(outlines.limbus) | {"confidence": outlines.limbus_confidence},
         "pupil": _ellipse(outlines.pupil) | {"confidence": outlines.pupil_confidence},
+        "eyes_found": outlines.eyes,
+        "crop_px": clone.crop(),
     }
     if isinstance(clone, Posed):
         found |= _pose(clone.pose)
@@ -139,6 +149,7 @@ def _pose(pose: Pose) -> dict[str, object]:
         "tilt_95_deg": [math.degrees(t) for t in pose.tilt_interval],
         "azimuth_deg": math.degrees(float(pose.camera.azimuth)),
         "side_from": pose.side,
+        "stretched_probability": pose.stretched,
         "distance_mm": pose.distance,
         "distance_sd_mm": None if pose.distance is None else pose.distance * spread / mean,
         "lengths": {

@@ -22,7 +22,7 @@ from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_known
 from irisjax.photo import pigments
 from irisjax.photo.light import Lighting, find_lighting, light_at, light_tangent, shade_on
-from irisjax.photo.masks import find_mirrored_face, part_of
+from irisjax.photo.masks import find_mirrored_face, part_of, place_of_part
 from irisjax.photo.outlines import MIN_CONFIDENCE, Boundaries, find_boundaries
 from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
 from irisjax.photo.pose import Pose, find_pose
@@ -59,6 +59,7 @@ _BLUR_STEPS, _BLUR_TOLERANCE = 7, 0.1  # number of first trials; tolerance of th
 
 _DISTANCES = Range(80, 2000, "mm")  # of cameras that photograph an iris, macro to long lenses
 _PICTURES_OFF = 0.05  # RMS difference of the encoded pictures above which a clone is doubtful [F09]
+_STRETCHED = 0.3  # probability that a file is, above which that is said
 _LEAST_RESPONSE = 0.1  # below it a photograph says little about the thickness
 _Arc = Float[np.ndarray, " count"]
 
@@ -107,6 +108,7 @@ class Given(NamedTuple):
         maps: Maps with the stroma's thickness, which the clone keeps.
         second: A photograph of the same eye, for example through crossed polarisers. Its texture
             gives the thickness; pigments and light are inferred from the first photograph.
+        eye: Which of several eyes, as of `find_boundaries`.
     """
 
     limbus: Ellipse | None = None
@@ -117,6 +119,7 @@ class Given(NamedTuple):
     visible: Mask | None = None
     maps: IrisMaps | None = None
     second: Photograph | None = None
+    eye: str | None = None
 
 
 NOTHING = Given()  # every stage finds its own result
@@ -128,6 +131,15 @@ class Outlined:
 
     photograph: Photograph
     boundaries: Boundaries
+
+    def crop(self) -> tuple[int, int, int, int]:
+        """Return the part of the photograph that is used, about the limbus: its first and last
+        column, its first and last row.
+        """
+        (x, y), side, _ = place_of_part(self.boundaries.limbus)
+        rows, columns = self.photograph.shape
+        across, down = (max(x, 0), min(x + side, columns) - 1), (max(y, 0), min(y + side, rows) - 1)
+        return (*across, *down)
 
 
 @dataclass(frozen=True)
@@ -310,7 +322,8 @@ def clone_to_pigments(
 
 def outline_eye(photograph: Photograph, given: Given = NOTHING) -> Outlined:
     """Find the outlines of limbus and pupil."""
-    return Outlined(photograph, find_boundaries(photograph, given.limbus, given.pupil))
+    found = find_boundaries(photograph, given.limbus, given.pupil, given.eye)
+    return Outlined(photograph, found)
 
 
 def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING) -> Posed:
@@ -323,7 +336,9 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
     focal = None if focal is None else focal / part.reduction
     media = {"cornea": Cornea.f09(), "aqueous_index": 1.376} if settings.media == "f09" else {}
     eye = Eye().replace(**media, iris_depth=settings.iris_depth)
-    pose = find_pose(part.limbus, pupil, eye, focal_px=focal, azimuth=settings.azimuth)
+    known: dict[str, Any] = {"focal_px": focal, "azimuth": settings.azimuth}
+    spread = boundaries.flattening_sd
+    pose = find_pose(part.limbus, pupil, eye, **known, flattening_sd=spread)
     pose = pose._replace(eye=_with_soft_edges(pose, boundaries))
     x, y = pose.corner
     rows, columns = pose.camera.shape
@@ -474,6 +489,13 @@ def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tup
         doubts.append(
             f"the focal length puts the camera {distance:.0f} mm away, where {_DISTANCES} are "
             "usual: it may be wrong; give --focal-px in pixels of this file"
+        )
+    if isinstance(found, Posed) and found.pose.stretched > _STRETCHED:
+        wide, high = (e.semi_axes for e in found.boundaries[:2])
+        doubts.append(
+            f"limbus and pupil are both flat, by {100 * (wide[0] / wide[1] - 1):.0f} and "
+            f"{100 * (high[0] / high[1] - 1):.0f} %: the file may be stretched rather than the eye "
+            "tilted; resize it to its true proportions"
         )
     if isinstance(found, Fitted):
         if found.photograph.grey:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 from PIL import Image
-from scipy import fft, ndimage, optimize
+from scipy import fft, ndimage
 
 from irisjax.photo.photograph import Brightness, Ellipse
 
@@ -15,9 +15,11 @@ FINE, ROUGH = 250.0, 100.0
 """Radii in pixels at which outlines are measured, and at which candidates are compared."""
 RAYS = np.arange(180) * (2 * np.pi / 180)  # parameters of the points at which rays cross ellipses
 _FLANK = 0.04  # distance from the best score within which the best fit is sought
+_ODD = 0.01  # mean score that outweighs one standard deviation of the centre, squared
+_LEAST = 0.15  # score of an edge that is used
 _PRECISION = 0.005  # of an edge, relative to the radius
 _RATIOS = (1.0, 0.93, 0.86)  # trial ratios of the semi-axes, for tilts up to about 30 degrees
-_RINGS = np.geomspace(20, 40, 9)[:-1]  # px: radii of one octave
+_RINGS = np.geomspace(20, 40, 7)[:-1]  # px: radii of one octave
 _WEAK = 0.05  # change of log brightness per pixel that has half the weight
 
 _Picture = Float[np.ndarray, "rows columns channels"]
@@ -62,6 +64,39 @@ class Edges(NamedTuple):
         # A maximum at an end of the range is the flank of an edge elsewhere.
         flank = abs(abs(place - 1) - near) < 1.5 * pitch
         return np.where(flank, 0.0, value), place
+
+
+class Expected(NamedTuple):
+    """What is known of an ellipse before its edges are seen.
+
+    Attributes:
+        flattening: Mean of the components of `Ellipse.flattening`.
+        flattening_sd: Standard deviation of each of them.
+        centre: Mean of the centre, px; `None` if nothing is known of it.
+        centre_sd: Standard deviation of each of its coordinates, relative to the ellipse's radius.
+    """
+
+    flattening: tuple[float, float] = (0.0, 0.0)
+    flattening_sd: float = 0.1
+    centre: tuple[float, float] | None = None
+    centre_sd: float = np.inf
+
+
+UNKNOWN = Expected()
+
+
+class Fit(NamedTuple):
+    """An ellipse through edges.
+
+    Attributes:
+        outline: The ellipse.
+        support: Share of it that edges support.
+        flattening_sd: Standard deviation of either component of its flattening.
+    """
+
+    outline: Ellipse
+    support: float
+    flattening_sd: float
 
 
 def find_rings(
@@ -167,49 +202,65 @@ def steps_along(
     x = np.linspace(*span, profile.shape[1])
     pitch = x[1] - x[0]
     n = max(3, round(reach / pitch))
-    missing = np.isnan(profile)
-    filled = np.where(missing, 0.0, profile)
-    filled = filled - filled.mean(1, keepdims=True)  # against rounding in the sums of squares
-    view = np.lib.stride_tricks.sliding_window_view
-    windows = view(filled, 2 * n + 1, axis=1)
-    incomplete = view(missing, 2 * n + 1, axis=1).any(-1)
-    even = np.full(2 * n + 1, 1 / (2 * n + 1))
-    squares = view(filled**2, 2 * n + 1, axis=1) @ even
-    total = np.maximum(squares - (windows @ even) ** 2, 0) + 1e-12
-    u = np.arange(-n, n + 1) * pitch
-    fit, rise = np.zeros(total.shape), np.zeros(total.shape)
+    count, u = x.size - 2 * n, np.arange(-n, n + 1) * pitch
+    triangles, kernels = [], [np.full((u.size, 1), 1 / u.size)]
     for width in widths:
         t = np.clip(u / (2 * width) + 0.5, 0, 1)
         s = t * t * (3 - 2 * t)
-        basis = np.stack([1 - s, s, s * u], -1)
-        orthogonal, triangle = np.linalg.qr(basis)
-        projected = windows @ orthogonal
-        coefficients = projected @ np.linalg.inv(triangle).T
-        up = coefficients[..., 1] - coefficients[..., 0]
-        explained = 1 - (squares - (projected**2).sum(-1) / (2 * n + 1)) / total
-        better = (up > 0) & (explained > fit) & ~incomplete
-        fit, rise = np.where(better, explained, fit), np.where(better, up, rise)
+        orthogonal, triangle = np.linalg.qr(np.stack([1 - s, s, s * u], -1))
+        kernels.append(orthogonal)
+        triangles.append(np.linalg.inv(triangle).T)
+    # All windows and kernels by one product of matrices.
+    kernel, place = np.hstack(kernels), np.arange(count)
+    band = np.zeros((x.size, count, kernel.shape[1]))
+    band[place[:, None] + np.arange(u.size), place[:, None]] = kernel
+
+    def windowed(values: np.ndarray, kernels: slice) -> np.ndarray:
+        part = band[..., kernels].reshape(x.size, -1)
+        return (values @ part).reshape(len(values), count, -1)
+
+    missing = np.isnan(profile)
+    filled = np.where(missing, 0.0, profile)
+    filled = filled - filled.mean(1, keepdims=True)  # against rounding in the sums of squares
+    incomplete = windowed(missing.astype(float), slice(1))[..., 0] > 1e-9
+    squares = windowed(filled**2, slice(1))[..., 0]
+    projected = windowed(filled, slice(None))
+    total = np.maximum(squares - projected[..., 0] ** 2, 0) + 1e-12
+    fit, rise = np.zeros(total.shape), np.zeros(total.shape)
+    for k, triangle in enumerate(triangles):
+        own = projected[..., 3 * k + 1 : 3 * k + 4]
+        low, high = np.moveaxis(own @ triangle[:, :2], -1, 0)
+        explained = 1 - (squares - (own**2).sum(-1) / u.size) / total
+        better = (high > low) & (explained > fit) & ~incomplete
+        fit, rise = np.where(better, explained, fit), np.where(better, high - low, rise)
     return Edges(x[n : x.size - n], np.minimum(fit, 1), rise)
 
 
 def best_outline(
-    outline: Ellipse, place: Float[np.ndarray, " places"], score: _Profiles
+    outline: Ellipse,
+    place: Float[np.ndarray, " places"],
+    score: _Profiles,
+    expected: Expected = UNKNOWN,
 ) -> Ellipse:
     """Return the ellipse about a circle along which the mean score is largest: all centres up to
-    0.15 radii off, radii and ratios of the axes are tried in steps of a few per cent.
+    0.15 radii off, radii and ratios of the axes are tried in steps of a few per cent. Ellipses far
+    from what is `expected` need a better score.
     """
-    radius, score = outline.semi_axes[0], score[::2]
-    direction = (outline.points(RAYS[::2]) - np.asarray(outline.centre)) / radius
+    radius, score = outline.semi_axes[0], score[::4]
+    direction = (outline.points(RAYS[::4]) - np.asarray(outline.centre)) / radius
     best, found = -np.inf, outline
     dx, dy = (c.ravel() for c in np.meshgrid(*[np.linspace(-0.15, 0.15, 7)] * 2))
-    sizes = np.linspace(0.82, 1.3, 13)
+    sizes, odd = np.linspace(0.82, 1.3, 13), np.zeros(dx.size)
+    if expected.centre is not None:
+        x, y = np.subtract(expected.centre, outline.centre) / radius
+        odd = _ODD * np.minimum(((dx - x) ** 2 + (dy - y) ** 2) / expected.centre_sd**2, 9)
     pitch, rays = place[1] - place[0], np.arange(len(score))
-    for ratio, angle in [(1.0, 0.0), *product(_RATIOS[1:], np.arange(6) * np.pi / 6)]:
+    for ratio, angle in [(1.0, 0.0), *product(_RATIOS[1:], np.arange(4) * np.pi / 4)]:
         axes = sizes / np.sqrt(ratio), sizes * np.sqrt(ratio)
         index = np.round((_distance(dx, dy, *axes, angle, direction) - place[0]) / pitch)
         within = (index >= 0) & (index < place.size)
         index = np.clip(index, 0, place.size - 1).astype(int)
-        mean = np.where(within, score[rays, index], 0.0).mean(-1)
+        mean = np.where(within, score[rays, index], 0.0).mean(-1) - odd
         size, k = np.unravel_index(np.argmax(mean), mean.shape)
         if mean[size, k] > best:
             best, (a, b) = mean[size, k], (radius * each[size] for each in axes)
@@ -219,54 +270,72 @@ def best_outline(
 
 
 def refine_outline(
-    outline: Ellipse,
-    value: _Rays,
-    place: _Rays,
-    weight: _Rays,
-    flattening: tuple[float, float, float] = (0.0, 0.0, 0.1),
-) -> tuple[Ellipse, float]:
-    """Fit an ellipse through the edges of `Edges.strongest`; return it with the share that such
-    edges support, in which each ray has a `weight`.
+    outline: Ellipse, value: _Rays, place: _Rays, weight: _Rays, expected: Expected = UNKNOWN
+) -> Fit:
+    """Fit an ellipse through the edges of `Edges.strongest`, in which each ray has a `weight`.
 
-    `flattening` has the two components that are expected of `Ellipse.flattening`, and the standard
-    deviation of both; where the edges lie at the sides alone, it decides.
+    Where the edges lie at the sides alone, what is `expected` decides.
     """
     middle = np.asarray(outline.centre)
     points = middle + place[:, None] * (outline.points(RAYS) - middle)
-    if (value > 0.3).sum() < 12:
-        return outline, 0.0
-    better = _fitted(outline, points, value * (value > 0.3), flattening)
+    if (value > _LEAST).sum() < 12:
+        return Fit(outline, 0.0, expected.flattening_sd)
+    better, sd = _fitted(outline, points, weight * value**2 * (value > _LEAST), expected)
     off = abs(better.relative_radius(points[:, 0], points[:, 1]) - 1)
     near = off < 0.02 + 0.5 / better.semi_axes[0]
     support = (weight * value * near).sum() / weight.sum()
-    return better, float(support)
+    return Fit(better, float(support), sd)
 
 
-def _fitted(start: Ellipse, points, weights, flattening) -> Ellipse:
+def _fitted(start: Ellipse, points, weights, expected: Expected) -> tuple[Ellipse, float]:
     """An ellipse by robust least squares: points off by more than about 1 % count little."""
     size, middle = start.mean_radius, np.asarray(start.centre)
-    at, scaled = np.array([0, 0, 0, *start.flattening]), (points - middle) / size
-    for outlier in (0.04, 0.02, 0.01, 0.01, 0.01):
-        # A tenth: the errors of neighbouring rays are correlated.
-        off = _ellipse(at).relative_radius(*scaled.T) - 1
-        root = np.sqrt(0.1 * weights) / _PRECISION / (1 + (off / outlier) ** 2)
-        known = scaled, root, *flattening
-        at = optimize.least_squares(_misses, at, method="lm", xtol=1e-6, args=known).x
-    e = _ellipse(at)
-    (x, y), (a, b) = middle + size * np.asarray(e.centre), size * np.asarray(e.semi_axes)
-    return Ellipse((x, y), (a, b), e.angle % np.pi)
+    scaled = (points - middle) / size * [1, -1]
+    known, sd, step = np.zeros(5), np.full(5, np.inf), 1e-5 * np.eye(5)
+    known[3:], sd[3:] = expected.flattening, expected.flattening_sd
+    if expected.centre is not None:
+        known[:2] = (np.asarray(expected.centre) - middle) / size * [1, -1]
+        sd[:2] = expected.centre_sd
+
+    def improved(at, outliers):
+        normal = np.eye(5)
+        for outlier in outliers:
+            off, *aside = (_misses(at + change, scaled) for change in (0, *step))
+            slopes = (np.stack(aside, -1) - off[:, None]) / step[0, 0]
+            share = 1 / (1 + (off / outlier) ** 2) ** 2
+            if outlier == _PRECISION:  # least absolute distances
+                share = 1 / (1 + abs(off) / outlier)
+            # Sharp edges scatter less. A tenth: the errors of neighbouring rays are correlated.
+            near = np.sort(abs(off)[weights > 0])
+            scatter = near[: max(1, int(0.6 * near.size))].mean()
+            precision = np.clip(2 * scatter, 0.2 * _PRECISION, _PRECISION)
+            each = 0.1 * weights * share / precision**2
+            normal = slopes.T @ (each[:, None] * slopes) + np.diag(sd**-2.0)
+            towards = slopes.T @ (each * off) + (at - known) * sd**-2.0
+            at = at - np.clip(np.linalg.solve(normal + 1e-6 * np.eye(5), towards), -0.1, 0.1)
+        held = (weights / (1 + (_misses(at, scaled) / 0.01) ** 2)).sum()
+        worth = 0.1 * held - _PRECISION**2 / 0.01**2 * (((at - known) / sd) ** 2).sum()
+        return worth, at, np.linalg.inv(normal)[3:, 3:]
+
+    # A lid's edge attracts the ellipse: of several beginnings the one that most edges support.
+    begin, ends = np.array([0, 0, 0, *start.flattening]), (0.02,) * 3 + (0.01,) * 6
+    begins = begin, improved(begin, [_PRECISION] * 6)[1], np.append(begin[:3], known[3:])
+    _, at, spread = max((improved(b, ends) for b in begins), key=lambda found: found[0])
+    (x, y), grown, flat = middle + size * at[:2] * [1, -1], size * np.exp(at[2]), at[3:]
+    flatter, angle = np.hypot(*flat), 0.5 * np.arctan2(flat[1], flat[0])
+    axes = grown * np.exp(0.5 * flatter), grown * np.exp(-0.5 * flatter)
+    return Ellipse((x, y), axes, angle % np.pi), float(np.sqrt(0.5 * np.trace(spread)))
 
 
-def _ellipse(p) -> Ellipse:
-    """The ellipse of centre, logarithm of the mean radius, and the components of the flattening."""
-    flat, angle = np.hypot(p[3], p[4]), 0.5 * np.arctan2(p[4], p[3])
-    return Ellipse((p[0], p[1]), (np.exp(p[2] + 0.5 * flat), np.exp(p[2] - 0.5 * flat)), angle)
-
-
-def _misses(p, points, root, first, second, spread):
-    """Distances of points from an ellipse, and of its flattening from what is expected."""
-    off = _ellipse(p).relative_radius(*points.T) - 1
-    return np.concatenate([root * off, (p[3:] - [first, second]) / spread])
+def _misses(p, points):
+    """Distances of points (right, up) from the ellipse of centre, logarithm of the mean radius and
+    flattening, relative to it.
+    """
+    flat = np.hypot(p[3], p[4])
+    even, uneven = np.cosh(flat / 2), np.sinh(flat / 2) / max(flat, 1e-12)
+    u, v = (points - p[:2]).T
+    along = even * u - uneven * (p[3] * u + p[4] * v), even * v - uneven * (p[4] * u - p[3] * v)
+    return np.exp(-p[2]) * np.hypot(*along) - 1
 
 
 def _distance(dx, dy, a, b, angle, direction):

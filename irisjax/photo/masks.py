@@ -293,10 +293,7 @@ def find_freckles(texture: Unrefracted) -> Mask:
 
 def part_of(photograph: Photograph, limbus: Ellipse) -> Part:
     """Cut out the part about a limbus, wide enough for every pixel of the camera's picture."""
-    reduction = max(1, math.ceil(2 * limbus.semi_axes[0] / _MOST_ACROSS))
-    half = math.ceil(1.3 * limbus.semi_axes[0] / reduction + 4) * reduction
-    x, y = tuple(int(np.floor(c)) - half for c in limbus.centre)
-    side = 2 * half
+    (x, y), side, reduction = place_of_part(limbus)
 
     def cut(values, fill):
         inside = values[max(0, y) : y + side, max(0, x) : x + side]
@@ -311,6 +308,16 @@ def part_of(photograph: Photograph, limbus: Ellipse) -> Part:
         masks = [measure.block_reduce(m, reduction, np.max) for m in masks]
     made = Part(np.asarray(pixels, np.float32), *masks, limbus, reduction, (x, y))
     return made._replace(limbus=made.moved(limbus))
+
+
+def place_of_part(limbus: Ellipse) -> tuple[tuple[int, int], int, int]:
+    """Return column and row of the first pixel of the photograph's part about the limbus, its side
+    in pixels, and how many of them along each side one of its own pixels has.
+    """
+    reduction = max(1, math.ceil(2 * limbus.semi_axes[0] / _MOST_ACROSS))
+    half = math.ceil(1.3 * limbus.semi_axes[0] / reduction + 4) * reduction
+    x, y = (int(np.floor(c)) - half for c in limbus.centre)
+    return (x, y), 2 * half, reduction
 
 
 class _Reduced:

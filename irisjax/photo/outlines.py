@@ -6,11 +6,12 @@ import numpy as np
 from scipy import ndimage, optimize, special
 
 from irisjax.photo import edges
-from irisjax.photo.edges import FINE, RAYS, ROUGH, along_rays, cut_around, refine_outline
+from irisjax.photo.edges import FINE, RAYS, ROUGH, Fit, along_rays, cut_around, refine_outline
 from irisjax.photo.photograph import Ellipse, Photograph
-from irisjax.photo.pose import FLATTER, PUPIL_OVAL
+from irisjax.photo.pose import FLATTER, LIMBUS_FLAT, PUPIL_OVAL
 
-MIN_CONFIDENCE = 0.4  # below which an outline is more likely wrong than right
+MIN_CONFIDENCE = 0.5
+"""Confidence below which an outline is more likely wrong than right, see `Boundaries`."""
 _PUPIL_SHARE = (0.12, 0.85)  # range of pupil radii, relative to the limbus
 _LIMBUS_WIDTHS = (0.02, 0.05, 0.09)  # half widths of the rise, relative to the radius
 _LIMBUS_SPAN = (0.6, 1.4)  # of profiles across the limbus, relative to it
@@ -21,12 +22,24 @@ _PUPIL_WIDTHS = (0.02, 0.05, 0.1)  # half widths of the rise, relative to the ra
 _PUPIL_SPAN = (0.8, 1.15)
 _EVEN = np.ones(RAYS.size)  # weights of the rays
 _MISFIT = 0.02  # difference of irides from the fitted rise, relative to the rise
-_LONG = 800  # px along the long side of the copy in which eyes are searched
+_LONG = 1000  # px along the long side of the copy in which eyes are searched
+_RING_LONG = 480  # the same of the copy in which rings are searched
+_JUDGED = 60.0  # px of the limbus in the copy in which pairs are judged
+_PUPIL_RADIUS = 40.0  # px of the limbus in the copy in which pupils are searched
 _SMALLEST = 40  # long side over the radius of the smallest iris
 _CANDIDATES = 6
-_SURE = 0.8  # worth of a pair of outlines, at most 1.3, above which the search ends
+_SURE = 0.9  # worth of a pair of outlines above which the search ends
 _WIDE = 0.68  # pupil over limbus above which the pair is less plausible
 _TRUSTED = 0.5  # support above which a pupil is used to find the limbus
+_FRONTAL = edges.Expected((LIMBUS_FLAT, 0.0), 0.08)
+_ASIDE = 0.07  # standard deviation of the pupil's middle in either direction, limbus radii
+_FAR_ASIDE = 0.15  # the same for limbi that are not yet known well
+_UP = 0.05  # its mean, above the limbus's middle
+_SIDE = 0.77  # cosine of the largest angle from the horizontal at which no lid is expected
+# Constant and weights of the evidence in the logarithm of the odds, fitted by
+# experiments/outline_confidence.py.
+_LIMBUS_LOGIT = (-23.7, 8.8, 0.1, 2.2, 1.0, 4.9, 1.7, 3.2, 3.1, 0.0, 5.5)
+_PUPIL_LOGIT = (-19.5, 1.8, 5.1, 0.0, 9.2, 3.2, 0.0, 0.0, 0.0, 0.0, 5.3)
 
 
 class PupilEdge(NamedTuple):
@@ -34,16 +47,54 @@ class PupilEdge(NamedTuple):
 
     Attributes:
         outline: The outline, in pixels of the photograph.
-        support: Share of the outline that edges support, reduced if the pupil is hardly darker than
-            the iris.
+        support: Share of the outline that edges support.
         margin: Width over which the brightness rises to the iris's, relative to the pupil's radius:
             0 for a sharp edge, `None` if it is not known. A step and a smoothstep at one place
             count as the smoothstep that lets as much light by.
+        flattening_sd: Standard deviation of either component of the outline's flattening.
     """
 
     outline: Ellipse
     support: float
     margin: float | None = None
+    flattening_sd: float = 0.0
+
+
+class Evidence(NamedTuple):
+    """What speaks for a pair of outlines, each from 0 to 1.
+
+    Attributes:
+        limbus: Share of the limbus that edges support, where no lid hides it.
+        pupil: Share of the pupil's outline that edges support.
+        dark: By how much the pupil is darker than the iris around it.
+        enclosed: Share of the pupil's outline beyond which it is brighter than within.
+        white: How much brighter it is to the left and right of the limbus than within.
+        colourless: How little these parts have the red of skin.
+        radial: How much of the iris's contrast lies along circles: fibres run along the radius.
+        shape: How usual the sizes and places of the two outlines are.
+        whole: Whether the picture shows all of them.
+        fine: Whether they have enough pixels.
+    """
+
+    limbus: float
+    pupil: float
+    dark: float
+    enclosed: float
+    white: float
+    colourless: float
+    radial: float
+    shape: float
+    whole: float
+    fine: float
+
+
+class Pair(NamedTuple):
+    """Outlines of one eye, the evidence for them, and its weight from 0 to 1."""
+
+    limbus: Fit
+    pupil: PupilEdge
+    evidence: Evidence
+    worth: float
 
 
 class Boundaries(NamedTuple):
@@ -52,12 +103,16 @@ class Boundaries(NamedTuple):
     Attributes:
         limbus: Middle of the soft rise from iris to white.
         pupil: Outline at which the iris begins.
-        limbus_confidence: 0 to 1, from the share of the outline that edges support, their distance
-            from it and their strength; 1 if given, not to be trusted below `MIN_CONFIDENCE`.
+        limbus_confidence: Probability that centre and radius are within 4 % of the limbus's radius,
+            calibrated on simulated photographs; 1 if given.
         pupil_confidence: The same for the pupil.
         pupil_margin: See `PupilEdge.margin`.
         limbus_width: Width over which iris and white blend, relative to the limbus's radius; `None`
             if it is not known.
+        flattening_sd: Standard deviations of the components of the flattening of limbus and pupil,
+            from the scatter of their edges; 0 if given.
+        eyes: Number of eyes that were found.
+        evidence: What speaks for the outlines; `None` if both are given.
     """
 
     limbus: Ellipse
@@ -66,19 +121,34 @@ class Boundaries(NamedTuple):
     pupil_confidence: float
     pupil_margin: float | None = None
     limbus_width: float | None = None
+    flattening_sd: tuple[float, float] = (0.0, 0.0)
+    eyes: int = 1
+    evidence: Evidence | None = None
 
 
 def find_boundaries(
-    photo: Photograph, limbus: Ellipse | None = None, pupil: Ellipse | None = None
+    photo: Photograph,
+    limbus: Ellipse | None = None,
+    pupil: Ellipse | None = None,
+    eye: str | None = None,
 ) -> Boundaries:
-    """Find the outlines of the eye in a photograph; given ones are kept.
+    """Find the outlines of an eye in a photograph; given ones are kept.
 
     Irides from a fortieth of the picture's long side to about half of its short side are found,
-    tilted by up to 30 degrees. Of two eyes the one whose outlines are better supported is found, or
-    the first that is beyond doubt. A picture without an eye gives outlines of low confidence.
+    tilted by up to 30 degrees. Rings that are dark inside are paired, and pairs are compared by
+    what lies on both sides of them, see `Evidence`. A picture without an eye gives outlines of low
+    confidence.
+
+    Args:
+        photo: The photograph.
+        limbus: Outline of the limbus that is kept.
+        pupil: The same for the pupil.
+        eye: Which of several eyes: `"left"` or `"right"` as the picture shows them, or a number
+            from 1, counted from the left; `None` takes the one with the most evidence.
 
     Raises:
-        ValueError: If nothing resembles an iris, or a given outline lies outside the picture.
+        ValueError: If nothing resembles an iris, a given outline lies outside the picture, or it
+            does not show that many eyes.
     """
     for name, given in (("limbus", limbus), ("pupil", pupil)):
         if given is not None and not _within(given, photo.shape):
@@ -87,16 +157,28 @@ def find_boundaries(
                 f"{photo.name}: the middle of the {name} given, {given.centre}, is outside the "
                 f"picture of {columns} x {rows} pixels"
             )
-    outline, held = limbus, None
-    if outline is None:
-        outline, inner = _searched(photo, pupil)
-        outline, held = limbus_near(photo, outline, inner, coarse=False)
-    if pupil is not None:
-        return _judged(photo, outline, PupilEdge(pupil, 1.0), held, None)
-    found = pupil_within(photo, outline, coarse=False)
-    if limbus is None and found.support > _TRUSTED:
-        outline, held = limbus_near(photo, outline, found.outline, coarse=False)
-    return _judged(photo, outline, found, held, found.support)
+    fit = None if limbus is None else Fit(limbus, 1.0, 0.0)
+    inner = None if pupil is None else PupilEdge(pupil, 1.0)
+    if fit and inner:
+        margin = beginning_of(photo, fit.outline, inner).margin
+        width = limbus_width_of(photo, fit.outline)
+        return Boundaries(fit.outline, inner.outline, 1.0, 1.0, margin, width)
+    scale = min(1.0, _LONG / max(photo.shape))
+    layers = edges.reduce_picture(np.dstack([photo.pixels, photo.saturated]), scale)
+    small = photo._replace(pixels=layers[..., :3], saturated=layers[..., 3] > 0.1)
+    known = (
+        fit and fit._replace(outline=fit.outline.scaled(scale)),
+        inner and inner._replace(outline=inner.outline.scaled(scale)),
+    )
+    eyes = _eyes(small, *known, every=eye is not None)
+    if not eyes:
+        raise ValueError(
+            f"{photo.name}: no iris found; give --limbus with its centre and semi-axes in pixels"
+        )
+    pair = _chosen(photo.name, eyes, eye)
+    outer, hole = (e.outline.scaled(1 / scale) for e in pair[:2])
+    near = pair.limbus._replace(outline=outer), pair.pupil._replace(outline=hole)
+    return _finished(photo, *near, fit, inner, len(eyes))
 
 
 def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> PupilEdge:
@@ -111,27 +193,53 @@ def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> Pup
     rings = np.empty((0, 4))
     if ceiling is not None:
         picture = np.minimum(picture, ceiling)
-        rings = edges.find_rings(picture, (0.13 * radius, 0.8 * radius), 6, sideways=0.2)
+        scale = min(1.0, _PUPIL_RADIUS / radius)
+        copy = edges.reduce_picture(picture[..., None], scale)[..., 0]
+        sizes = 0.13 * radius * scale, 0.8 * radius * scale
+        rings = edges.find_rings(copy, sizes, 6, sideways=0.2)
+        rings[:, :2] = (rings[:, :2] + 0.5) / scale - 0.5
+        rings[:, 2] /= scale
         off, share = outline.relative_radius(*rings[:, :2].T), rings[:, 2] / radius
         possible = (_PUPIL_SHARE[0] < share) & (share < _PUPIL_SHARE[1])
         rings = rings[possible & (off < np.minimum(0.3, 1.05 - share))]
     circles = [Ellipse((x, y), (r, r)) for x, y, r, _ in rings]
-    worth = [v * _darkness(picture, relative, c) for v, c in zip(rings[:, 3], circles, strict=True)]
+    dark = np.array([_darkness(picture, relative, circle) for circle in circles])
+    usual = np.array([_usual_place(outline, circle) for circle in circles])
+    worth = rings[:, 3] * dark * usual
     if not circles:  # in place of a pupil that is not found
         a, b = limbus.semi_axes
         return PupilEdge(limbus._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
-    circle, span = circles[int(np.argmax(worth))], (0.5, 1.65)
-    profile = _profile(picture, cut_off, circle, span, 93)
-    steps = edges.steps_along(profile, span, _PUPIL_WIDTHS[1:], 0.2)
-    circle = edges.best_outline(circle, steps.place, steps.score())
-    support, span = 0.0, (0.7, 1.3)
+    picture = _first_rise(picture, ceiling)
+    # What is mirrored in a pupil may leave a smaller circle beside its middle.
+    best = circles[int(np.argmax(worth))]
+    middle = 0.5 * np.add(best.centre, outline.centre)
+    starts = best, best._replace(centre=(middle[0], middle[1]))
+    fits = [_pupil_near(picture, cut_off, circle) for circle in starts]
+    fit = max(fits, key=lambda fit: fit.support * _usual_place(outline, fit.outline))
+    found = PupilEdge(back(fit.outline), fit.support, flattening_sd=fit.flattening_sd)
+    return found if coarse or not fit.support else beginning_of(photo, limbus, found)
+
+
+def _usual_place(limbus: Ellipse, pupil: Ellipse) -> float:
+    """How usual the place of a pupil is within a limbus, 0 to 1."""
+    x, y = pupil.centre
+    aside = limbus.relative_radius(x, y + _UP * limbus.mean_radius)
+    return float(np.exp(-0.5 * (aside / _FAR_ASIDE) ** 2))
+
+
+def _pupil_near(picture, cut_off, circle: Ellipse) -> Fit:
+    """Fit a pupil near a circle."""
+    span = (0.5, 1.65)
+    steps = edges.steps_along(
+        _profile(picture, cut_off, circle, span, 93), span, _PUPIL_WIDTHS[1:], 0.2
+    )
+    fit = Fit(edges.best_outline(circle, steps.place, steps.score()), 0.0, 0.1)
+    span, near_frontal = (0.7, 1.3), edges.Expected(flattening_sd=0.07)
     for near in (0.12, 0.08):
-        profile = _profile(picture, cut_off, circle, span, 121)
+        profile = _profile(picture, cut_off, fit.outline, span, 121)
         steps = edges.steps_along(profile, span, _PUPIL_WIDTHS, 0.15)
-        circle, support = refine_outline(circle, *steps.strongest(near), _EVEN)
-    sure = support * float(np.sqrt(_darkness(picture, relative, circle)))
-    found = PupilEdge(back(circle), sure)
-    return found if coarse or not support else beginning_of(photo, limbus, found)
+        fit = refine_outline(fit.outline, *steps.strongest(near), _EVEN, near_frontal)
+    return fit
 
 
 def beginning_of(photo: Photograph, limbus: Ellipse, near: PupilEdge) -> PupilEdge:
@@ -145,10 +253,9 @@ def beginning_of(photo: Photograph, limbus: Ellipse, near: PupilEdge) -> PupilEd
     smooth = ndimage.gaussian_filter(picture, 0.01 * circle.semi_axes[0])  # against noise
     held = 0 * _EVEN
     for reach in (0.1, 0.08):
-        # The root shows the first rise.
-        profile = np.sqrt(_profile(smooth, cut_off, circle, span, 241))
+        profile = _profile(_first_rise(smooth, ceiling), cut_off, circle, span, 241)
         held, place = edges.steps_along(profile, span, _PUPIL_WIDTHS, 0.15).strongest(reach)
-        circle, _ = refine_outline(circle, held, place, _EVEN)
+        circle = refine_outline(circle, held, place, _EVEN).outline
     good = _profile(picture, cut_off, circle, _PUPIL_SPAN, 241)[held > 0.3]
     if len(good) < 12 or not np.isfinite(good).any(0).all():
         return near._replace(outline=back(circle))
@@ -161,29 +268,35 @@ def beginning_of(photo: Photograph, limbus: Ellipse, near: PupilEdge) -> PupilEd
 
 
 def limbus_near(
-    photo: Photograph, start: Ellipse, pupil: Ellipse | None = None, coarse: bool = True
-) -> tuple[Ellipse, float]:
-    """Refine a limbus near a circle (`coarse`) or near an ellipse; a reliable pupil determines how
-    flat it is. Return it with the share of its part outside the lids that edges support.
+    photo: Photograph, start: Ellipse, pupil: PupilEdge | None = None, coarse: bool = True
+) -> Fit:
+    """Refine a limbus near a circle (`coarse`) or near an ellipse.
+
+    A pupil suggests where the limbus's centre is and how flat it is. The support is the share of
+    the limbus's part outside the lids.
     """
     seen, outline, back = _limbus_part(photo, start, ROUGH if coarse else FINE)
-    lateral = 0.5 + 0.5 * np.cos(RAYS) ** 2
-    flattening = (0.0, 0.0, 0.1)
-    if pupil is not None:
-        flattening = (*(FLATTER * pupil.flattening), FLATTER * PUPIL_OVAL)
+    expected, ratio = _FRONTAL, outline.semi_axes[0] / start.semi_axes[0]
+    if pupil is not None and pupil.support > _TRUSTED:
+        flat = FLATTER * pupil.outline.flattening + 0.25 * np.array(_FRONTAL.flattening)
+        sd = FLATTER * np.hypot(PUPIL_OVAL, pupil.flattening_sd)
+        x, y = ratio * np.subtract(pupil.outline.centre, start.centre) + outline.centre
+        middle = x, y + _UP * outline.semi_axes[0]
+        expected = edges.Expected((flat[0], flat[1]), float(sd), middle, _ASIDE)
     if coarse:
         steps, white, _ = _limbus_edges(*seen, outline, (0.5, 1.65), 93, _LIMBUS_WIDTHS[1:])
-        score = steps.score() * white * lateral[:, None]
-        outline = edges.best_outline(outline, steps.place, score)
-    support = 0.0
+        score = steps.score() * white * _beside_lids(outline)[:, None]
+        outline = edges.best_outline(outline, steps.place, score, expected)
+    fit = Fit(outline, 0.0, expected.flattening_sd)
     for near in (0.1, 0.06) if coarse else (0.06, 0.04, 0.04):
-        steps, white, profile = _limbus_edges(*seen, outline)
+        steps, white, profile = _limbus_edges(*seen, fit.outline)
         value, place = _half_way(profile, steps, white, near)
         # A lid hides the limbus; outside the picture it is just missing.
         covered = 1 - white[:, int(np.argmin(abs(steps.place - 1)))]
         shown = 1 - 0.8 * np.where(np.isnan(profile[:, : profile.shape[1] // 2]).any(1), 0, covered)
-        outline, support = refine_outline(outline, value, place, lateral * shown, flattening)
-    return back(outline), support
+        weight = _beside_lids(fit.outline) * shown
+        fit = refine_outline(fit.outline, value, place, weight, expected)
+    return fit._replace(outline=back(fit.outline))
 
 
 def limbus_width_of(photo: Photograph, limbus: Ellipse) -> float | None:
@@ -212,70 +325,209 @@ def limbus_width_of(photo: Photograph, limbus: Ellipse) -> float | None:
     return float(np.sqrt(max((high - low) ** 2 - blur**2, 0)) / _QUARTILES_OF_SMOOTHSTEP)
 
 
-def _searched(photo: Photograph, pupil: Ellipse | None) -> tuple[Ellipse, Ellipse | None]:
-    """The best limbus in a reduced copy, and its pupil if that is reliable."""
-    scale = min(1.0, _LONG / max(photo.shape))
-    layers = edges.reduce_picture(np.dstack([photo.pixels, photo.saturated]), scale)
-    small = photo._replace(pixels=layers[..., :3], saturated=layers[..., 3] > 0.1)
-    known = None if pupil is None else pupil.scaled(scale)
-    best, found, seen = -1.0, None, list[Ellipse]()
-    for start in _starts(small.pixels.mean(-1), known):
-        outline, held = limbus_near(small, start, known)
-        numbers = *outline.centre, *outline.semi_axes
-        off = [np.subtract(numbers, (*e.centre, *e.semi_axes)) for e in seen]
-        # Several starts may lead to one outline: to within a hundredth of the radius.
-        same = [max(np.hypot(*d[:2]), *abs(d[2:])) < 0.01 * numbers[2] for d in off]
-        if any(same) or not _within(outline, small.shape):
+def _eyes(photo: Photograph, limbus: Fit | None, pupil: PupilEdge | None, every: bool):
+    """The eyes of a picture, the one with the most evidence first."""
+    found = list[Pair]()
+    for start in [limbus.outline] if limbus else _starts(photo.pixels.mean(-1), pupil):
+        pair = _paired(photo, start, limbus, pupil)
+        outline = pair.limbus.outline
+        if not _within(outline, photo.shape) or any(
+            _alike(outline, p.limbus.outline) for p in found
+        ):
             continue
-        seen.append(outline)
-        inner, support = known, 1.0
-        if inner is None:
-            inner, support, _ = pupil_within(small, outline)
-        worth = held * _plausible(outline, inner) * (0.3 + support)
-        if worth > best:
-            trusted = inner.scaled(1 / scale) if support > _TRUSTED else None
-            best, found = worth, (outline.scaled(1 / scale), trusted)
-        if best > _SURE:
+        found.append(pair)
+        if pair.worth > _SURE and not every:
             break
-    if found is None:
-        raise ValueError(
-            f"{photo.name}: no iris found; give --limbus with its centre and semi-axes in pixels"
-        )
-    return found
+    # An eye's pupil holds no other eye: the outer pair is a socket.
+    found = [p._replace(worth=p.worth * (1 - _worth_within(p, found))) for p in found]
+    eyes = list[Pair]()
+    for pair in sorted(found, key=lambda p: -p.worth):
+        apart = [_apart(pair.limbus.outline, e.limbus.outline) for e in eyes]
+        if not eyes or (all(apart) and pair.worth > MIN_CONFIDENCE):
+            eyes.append(pair)
+    return eyes
 
 
-def _judged(
-    photo: Photograph, limbus: Ellipse, pupil: PupilEdge, held: float | None, inner: float | None
+def _paired(photo: Photograph, start: Ellipse, limbus: Fit | None, pupil: PupilEdge | None) -> Pair:
+    """The outlines near a circle, and what speaks for them."""
+    inner, fit = pupil or pupil_within(photo, start), limbus
+    if fit is None:
+        fit = limbus_near(photo, start, inner)
+        if pupil is None:  # within the better limbus, which may be another
+            again = pupil_within(photo, fit.outline)
+            if not _alike(again.outline, inner.outline, 0.05):
+                fit = limbus_near(photo, fit.outline, again)
+            inner = again
+    return _weighed(photo, fit, inner)
+
+
+def _weighed(photo: Photograph, limbus: Fit, pupil: PupilEdge) -> Pair:
+    evidence = _evidence(photo, limbus, pupil)
+    return Pair(limbus, pupil, evidence, min(_probabilities(evidence)))
+
+
+def _finished(
+    photo: Photograph,
+    near: Fit,
+    near_pupil: PupilEdge,
+    limbus: Fit | None,
+    pupil: PupilEdge | None,
+    eyes: int,
 ) -> Boundaries:
-    """Confidences from the shares that edges support, `None` for given outlines, and softness."""
-    # In pictures without an eye, chance edges support up to 0.8 of a dark disc's outline and 0.35
-    # of others, most of tiny ones, but hardly 0.3 of a pupil within. Lids and lashes leave 0.4 of
-    # the limbus and half of the pupil in simulated and real eyes.
-    likely = _plausible(limbus, pupil.outline)
+    """Measure a pair on the whole photograph, and keep what was given."""
+    fit = limbus or limbus_near(photo, near.outline, pupil or near_pupil, coarse=False)
+    inner = pupil or pupil_within(photo, fit.outline, coarse=False)
+    if not limbus and not pupil:
+        fit = limbus_near(photo, fit.outline, inner, coarse=False)
+    evidence = _evidence(photo, fit, inner)
+    limbus_sure, pupil_sure = _probabilities(evidence)
+    return Boundaries(
+        fit.outline,
+        inner.outline,
+        1.0 if limbus else limbus_sure,
+        1.0 if pupil else pupil_sure,
+        beginning_of(photo, fit.outline, inner).margin if pupil else inner.margin,
+        limbus_width_of(photo, fit.outline),
+        (fit.flattening_sd, inner.flattening_sd),
+        eyes,
+        evidence,
+    )
+
+
+def _probabilities(evidence: Evidence) -> tuple[float, float]:
+    """Of limbus and pupil being right, by logistic regression."""
+    known = np.append(1.0, evidence)
+    logits = np.array(_LIMBUS_LOGIT) @ known, np.array(_PUPIL_LOGIT) @ known
+    possible = evidence.whole * evidence.shape
+    limbus, pupil = (float(special.expit(logit) * possible) for logit in logits)
+    return limbus, pupil
+
+
+def _evidence(photo: Photograph, limbus: Fit, pupil: PupilEdge) -> Evidence:
+    outer, inner = limbus.outline, pupil.outline
     half = np.array(photo.shape[::-1]) / 2
-    for outline in (limbus, pupil.outline):  # half an eye does not count
-        shown = (abs(outline.points(RAYS) + 0.5 - half) < half).all(1).mean()
-        likely *= float(np.clip((shown - 0.5) / 0.15, 0, 1))
-    limbus_sure = pupil_sure = 1.0
-    if held is not None:
-        limbus_sure = likely * min(held / 0.75, 1.0) * min(1.0, limbus.semi_axes[1] / 30)
-        if inner is not None:
-            limbus_sure *= float(np.clip((inner - 0.2) / 0.2, 0, 1))
-    if inner is not None:
-        pupil_sure = likely * float(np.clip((inner - 0.2) / 0.5, 0, 1))
-        pupil_sure *= min(1.0, limbus_sure / MIN_CONFIDENCE)
-    margin = pupil.margin
-    if margin is None:
-        margin = beginning_of(photo, limbus, pupil).margin
-    sure = float(limbus_sure), float(pupil_sure)
-    return Boundaries(limbus, pupil.outline, *sure, margin, limbus_width_of(photo, limbus))
+    shown = [(abs(e.points(RAYS) + 0.5 - half) < half).all(1).mean() for e in (outer, inner)]
+    (picture, redness), circle, _ = _limbus_part(photo, outer, _JUDGED)
+    span, steps = (0.02, 1.4), 70
+    place = np.linspace(*span, steps)
+    seen = np.ma.masked_invalid(along_rays(picture, circle, span, steps))
+    right = (circle.points(RAYS)[:, 0] - circle.centre[0]) / circle.mean_radius
+    sides = [sign * right > _SIDE for sign in (-1, 1)]
+    rim, beyond = (place > 0.8) & (place < 0.97), (place > 1.08) & (place < 1.25)
+    rises = [_log_ratio(seen[s][:, beyond], seen[s][:, rim].compressed(), 0.3) for s in sides]
+    rises = np.clip(np.array(rises) / 1.5, 0, 1)
+    colourless = 1.0
+    if redness is not None:
+        tint = np.ma.masked_invalid(along_rays(redness, circle, span, steps))
+        least = min(_middle(tint[s][:, beyond], 9.0) for s in sides)
+        colourless = float(special.expit((0.7 - least) / 0.12))
+    scale = circle.semi_axes[0] / outer.semi_axes[0]
+    middle = scale * np.subtract(inner.centre, outer.centre) + circle.centre
+    hole = inner.scaled(scale)._replace(centre=(float(middle[0]), float(middle[1])))
+    # Yellow irides are black in blue light.
+    mean = cut_around(photo.pixels, outer, 2.0, _JUDGED)[0].mean(-1)
+    dark, enclosed = _hole(mean, hole)
+    texture = (place > 1.15 * inner.mean_radius / outer.mean_radius) & (place < 0.9)
+    return Evidence(
+        limbus=limbus.support,
+        pupil=pupil.support,
+        dark=dark,
+        enclosed=enclosed,
+        white=float(0.6 * rises.max() + 0.4 * rises.min()),
+        colourless=colourless,
+        radial=_radial(seen[:, texture], place[texture], float(place[1] - place[0])),
+        shape=_plausible(outer, inner),
+        whole=float(np.clip((min(shown) - 0.5) / 0.15, 0, 1)),
+        fine=min(1.0, outer.semi_axes[1] / 30),
+    )
 
 
-def _starts(brightness, pupil: Ellipse | None) -> list[Ellipse]:
+def _hole(picture, hole: Ellipse) -> tuple[float, float]:
+    """How much darker an ellipse is inside, where nothing is mirrored, than around it (from 0.4 to
+    0.9 of the brightness around it), and the share of rays on which it is brighter around it.
+    """
+    profile = np.ma.masked_invalid(along_rays(picture, hole, (0.05, 1.4), 55))
+    place = np.linspace(0.05, 1.4, 55)
+    inside = profile[:, place < 0.85].compressed()
+    if not inside.size:
+        return 0.0, 0.0
+    deep = float(np.quantile(inside, 0.25))
+    around = np.ma.filled(np.ma.median(profile[:, place > 1.12], axis=1), deep)
+    iris = float(np.median(around))
+    dark = np.clip((1 - deep / (iris + 1e-9) - 0.4) / 0.5, 0, 1)
+    share = np.mean(around > deep + 0.35 * (iris - deep))
+    return float(dark), float(np.clip((share - 0.5) / 0.5, 0, 1))
+
+
+def _radial(seen, place, pitch: float) -> float:
+    """Contrast of neighbours along circles over that in all directions, from 1/4 to 1/2."""
+    if seen.shape[1] < 4:
+        return 0.0
+    logs = np.ma.log(seen + 0.02 * (np.ma.median(seen) + 1e-3))
+    logs = logs - np.ma.median(logs, axis=0)
+    around = np.ma.median(abs(np.diff(logs, axis=0)).mean(0) / (place * (RAYS[1] - RAYS[0])))
+    along = np.ma.median(abs(np.diff(logs, axis=1)).mean(0)) / pitch
+    share = around / (around + along + 1e-9)
+    return float(np.clip((np.ma.filled(share, 0.0) - 0.25) / 0.25, 0, 1))
+
+
+def _log_ratio(beyond, inside, quantile: float) -> float:
+    """Logarithm of the middle of one part over a quantile of the other; 0 if one is not seen."""
+    if not (beyond.count() and inside.size):
+        return 0.0
+    return float(np.log((np.ma.median(beyond) + 1e-3) / (np.quantile(inside, quantile) + 1e-3)))
+
+
+def _middle(values, missing: float) -> float:
+    return float(np.ma.median(values)) if values.count() else missing
+
+
+def _alike(one: Ellipse, other: Ellipse, within: float = 0.01) -> bool:
+    off = np.subtract((*one.centre, *one.semi_axes), (*other.centre, *other.semi_axes))
+    return bool(abs(off).max() < within * one.semi_axes[0])
+
+
+def _apart(one: Ellipse, other: Ellipse) -> bool:
+    away = np.hypot(*np.subtract(one.centre, other.centre))
+    return bool(away > one.semi_axes[0] + other.semi_axes[0])
+
+
+def _worth_within(pair: Pair, pairs: list[Pair]) -> float:
+    hole = pair.pupil.outline
+    inner = [p for p in pairs if hole.relative_radius(*p.limbus.outline.centre) < 0.5]
+    return max(
+        (p.worth for p in inner if p.limbus.outline.mean_radius < 1.3 * hole.mean_radius),
+        default=0.0,
+    )
+
+
+def _chosen(name: str, eyes: list[Pair], eye: str | None) -> Pair:
+    if eye is None:
+        return eyes[0]
+    across = sorted(eyes, key=lambda p: p.limbus.outline.centre[0])
+    if eye not in ("left", "right") and not eye.isdecimal():
+        raise ValueError(f"--eye {eye}: write left, right or a number from 1")
+    number = {"left": 1, "right": len(eyes)}.get(eye) or int(eye)
+    if not 1 <= number <= len(eyes):
+        raise ValueError(f"{name}: --eye {eye}, but the picture shows {len(eyes)}")
+    return across[number - 1]
+
+
+def _beside_lids(outline: Ellipse):
+    """Weights of the rays: lids hide the top, and often the bottom."""
+    right, down = (outline.points(RAYS) - outline.centre).T
+    cosine = abs(right) / np.hypot(right, down)
+    above = np.clip((cosine - 0.65) / 0.3, 0.03, 1)
+    return np.where(down < 0, above, np.clip(cosine + 0.35, 0.5, 1))
+
+
+def _starts(brightness, pupil: PupilEdge | None) -> list[Ellipse]:
     """Circles near which a limbus may lie, best first."""
+    scale = min(1.0, _RING_LONG / max(brightness.shape))
+    copy = edges.reduce_picture(brightness[..., None], scale)[..., 0]
     shape = brightness.shape
-    least = max(max(shape) / _SMALLEST, 8.0)
-    rings = edges.find_rings(brightness, (0.4 * least, 0.58 * min(shape)), 8, sideways=0.6)
+    least = max(max(copy.shape) / _SMALLEST, 8.0)
+    rings = edges.find_rings(copy, (0.4 * least, 0.58 * min(copy.shape)), 10, sideways=0.6)
     away = np.hypot(*(rings[:, None, :2] - rings[None, :, :2]).T)
     radius, votes = rings[:, 2:3], rings[:, 3]
     share = rings[:, 2] / radius
@@ -283,10 +535,13 @@ def _starts(brightness, pupil: Ellipse | None) -> list[Ellipse]:
     inside = (share > _PUPIL_SHARE[0]) & (share < _PUPIL_SHARE[1]) & (away < 0.25 * radius)
     worth = votes * (0.5 + np.where(inside, votes, 0).max(1, initial=0))
     best = [k for k in np.argsort(-worth, kind="stable") if rings[k, 2] >= least]
-    circles = [Ellipse((x, y), (r, r)) for x, y, r, _ in rings[best]]
+    circles = [Ellipse((x, y), (r, r)).scaled(1 / scale) for x, y, r, _ in rings[best]]
     circles = [c for c in circles if _within(c, shape)]
     if pupil is not None:
-        circles = [c for c in circles if _plausible(c, pupil) > 0.5]
+        hole = pupil.outline
+        circles = [c for c in circles if _plausible(c, hole) > 0.5]
+        middle, size = hole.centre, hole.mean_radius
+        circles += [Ellipse(middle, (size / s, size / s)) for s in (0.25, 0.35, 0.5)]
     return circles[:_CANDIDATES]
 
 
@@ -321,6 +576,13 @@ def _profile(picture, cut_off, circle: Ellipse, span, steps: int):
     return np.where(hidden, np.nan, along_rays(picture, circle, span, steps))
 
 
+def _first_rise(picture, ceiling: float | None):
+    """Brightness on a scale on which the first rise from black is the largest: irides are often
+    darker beside the pupil.
+    """
+    return np.log(np.maximum(picture, 0) + 0.04 * (ceiling or 1.0))
+
+
 def _within_limbus(picture, limbus: Ellipse) -> tuple[np.ndarray, float | None]:
     """Relative radii, and the brightness that only highlights exceed; `None` out of the picture."""
     relative = limbus.radii(picture.shape)
@@ -329,14 +591,27 @@ def _within_limbus(picture, limbus: Ellipse) -> tuple[np.ndarray, float | None]:
 
 
 def _limbus_part(photo: Photograph, outline: Ellipse, radius: float):
-    """`cut_around` of brightness and redness (`None` without colours)."""
+    """`cut_around` of brightness and redness (`None` without colours).
+
+    The brightness is that of the channel in which iris and white differ most at both sides: white
+    in a warm shade is hardly brighter than a blue iris, but redder.
+    """
     pixels, moved, back = cut_around(photo.pixels, outline, 2.0, radius)
-    redness = None
-    if not photo.grey:  # far larger for skin than for the white of an eye
-        floor = 0.02 * float(np.quantile(pixels[..., 0], 0.98)) + 1e-6
-        red, _, blue = np.moveaxis(np.maximum(pixels, 0) + floor, -1, 0)
-        redness = np.log(red / blue)
-    return (pixels.mean(-1), redness), moved, back
+    mean = pixels.mean(-1)
+    if photo.grey:
+        return (mean, None), moved, back
+    floor = 0.02 * float(np.quantile(pixels[..., 0], 0.98)) + 1e-6
+    logs = np.log(np.maximum(pixels, 0) + floor)
+    right = (moved.points(RAYS)[:, 0] - moved.centre[0]) / moved.semi_axes[0]
+
+    def contrast(channel) -> float:
+        inside, beyond = (along_rays(channel, moved, s, 6) for s in ((0.75, 0.92), (1.08, 1.25)))
+        rise = np.ma.masked_invalid(beyond.mean(1) - inside.mean(1))
+        return min(_middle(rise[sign * right > _SIDE], 9.0) for sign in (-1, 1))
+
+    best = max(range(3), key=lambda k: contrast(logs[..., k]))
+    # Redness is far larger for skin than for the white of an eye.
+    return (pixels[..., best], logs[..., 0] - logs[..., 2]), moved, back
 
 
 def _beginning(x, brightness, pixel: float) -> tuple[float, float]:
@@ -421,8 +696,10 @@ def _limbus_edges(picture, colour, outline, span=_LIMBUS_SPAN, count=161, widths
     reddest = ndimage.maximum_filter1d(smooth, width, axis=1)
     skip = (count - steps.place.size) // 2 + round(0.12 / pitch)
     outside = reddest[:, skip : skip + steps.place.size]
-    # The white is what is least red just outside: the sides of an eye show it.
+    # The white is what is least red just outside. At the sides it may be in a shade as red as skin.
     at = int(np.argmin(abs(steps.place - 1)))
     least = np.quantile(outside[:, at], 0.15)
     white = 1 / (1 + np.exp(np.clip((outside - least - 0.4) / 0.08, -50, 50)))
-    return steps, white, profile
+    right, down = (outline.points(RAYS) - outline.centre).T
+    aside = np.clip((abs(right) / np.hypot(right, down) - 0.8) / 0.15, 0, 0.7)
+    return steps, np.maximum(white, aside[:, None]), profile

@@ -17,6 +17,8 @@ from irisjax.io.scenes import read_scene
 from irisjax.photo import clone as cloning
 from irisjax.photo import texture
 from irisjax.photo.clone import doubts_of
+from irisjax.photo.outlines import Boundaries
+from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pigments import FREE_NAMES, PRIORS, PigmentFit, PigmentPosterior
 from irisjax.photo.texture import follow_refraction
 from irisjax.photo.windows import Windows
@@ -24,7 +26,14 @@ from irisjax.photo.windows import Windows
 DATA = Path(__file__).parent.parent.parent / "data" / "photographs"
 NAME = "green_tilted.jpg"
 SUMMARY = {"limbus", "pupil", "settings", "seconds", "photograph", "notes"}
-FLAT = "clone.json", "unrefracted.png", "visible.png", "freckles.png", "deconvolved.png"
+FLAT = (
+    "clone.json",
+    "outlines.png",
+    "unrefracted.png",
+    "visible.png",
+    "freckles.png",
+    "deconvolved.png",
+)
 POSED = {"tilt_deg", "tilt_sd_deg", "distance_mm", "azimuth_deg", "pupil_radius_mm"}
 
 
@@ -73,8 +82,11 @@ def test_outlines(irisjax, tmp_path, truth, photo):
     status, out, err = irisjax("clone", photo, "-o", folder, "--stop-after", "outlines")
     assert status == 0, err
     assert str(folder) in out
-    assert _files(folder) == {"clone.json"}
+    assert _files(folder) == {"clone.json", "outlines.png"}
+    overlay = np.asarray(Image.open(folder / "outlines.png")).astype(int)
+    assert ((overlay == (0, 255, 0)).all(-1).sum() > 100) and overlay.shape[:2] == (270, 325)
     found = _summary(folder)
+    assert found["eyes_found"] == 1 and found["crop_px"][0] == 0
     assert set(found) >= SUMMARY and "tilt_deg" not in found
     for name in ("limbus", "pupil"):
         own, other = found[name], truth[name]
@@ -102,7 +114,7 @@ def test_given_outlines_are_taken_and_a_clone_is_kept(irisjax, tmp_path, outline
     (tmp_path / "scene.toml").write_text("of a clone that came further")
     (tmp_path / "notes.txt").write_text("mine")
     assert irisjax(*arguments, "--overwrite")[0] == 0
-    assert _files(tmp_path) == {"clone.json", "notes.txt"}
+    assert _files(tmp_path) == {"clone.json", "outlines.png", "notes.txt"}
 
 
 def test_what_is_before_a_failed_stage_is_written(
@@ -154,7 +166,7 @@ def test_what_is_before_a_failed_stage_is_written(
     wrong = irisjax(*asked, tmp_path / "small.png", "--overwrite")
     one_line(wrong, "the mask of what is visible is (64, 64)")
     assert irisjax(*asked[:-1], "--stop-after", "pose", "--overwrite")[0] == 0
-    assert _files(folder) == {"clone.json"}
+    assert _files(folder) == {"clone.json", "outlines.png"}
 
 
 WRONG = [
@@ -222,12 +234,15 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
     for name, value in (("colour", np.ones((4, 3))), ("present", np.ones(4, bool))):
         object.__setattr__(windows, name, value)
     vars(found).update(
-        photograph=SimpleNamespace(grey=True),
-        boundaries=SimpleNamespace(limbus_confidence=1.0, pupil_confidence=1.0),
+        photograph=SimpleNamespace(grey=True, shape=(900, 1200)),
+        boundaries=Boundaries(
+            *(Ellipse((600.0, 450.0), (r * 1.16, r)) for r in (100.0, 40.0)), 1.0, 1.0, eyes=2
+        ),
         pose=SimpleNamespace(
             distance=46.0,
             tilt=0.1,
             tilt_interval=(0.0, 0.3),
+            stretched=0.8,
             eye=SimpleNamespace(pupil_radius=2.0, limbus_radius=5.5),
         ),
         lighting=SimpleNamespace(found=0),
@@ -239,6 +254,7 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
     doubts = doubts_of(found, np.array([0.06, 0.04, 0.03]))
     for words in (
         "camera 46 mm away",
+        "both flat, by 16 and 16 %: the file may be stretched",
         "no colours",
         "off by factors of 1.65, 1.49, 1.35 in R, G, B",
         "abl_eumelanin is 90 mg/ml, far from what is usual",
@@ -252,10 +268,11 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
     out, err = capsys.readouterr()
     assert all(f"WARNING: {doubt}" in err for doubt in doubts)
     assert "crossed polarisers" in err and "light from all round is assumed" in err
+    assert "of 2 eyes the one in columns 445 to 754, rows 295 to 604 is cloned (--eye" in out
     assert "camera: 5.7 (0.0 to 17.2) degrees" in out and str(tmp_path) in out
     vars(found).update(fit=fit._replace(z=np.zeros(10), rms=np.full(3, 0.01), converged=True))
     assert any("thickness hardly shows in this iris" in doubt for doubt in doubts_of(found))
-    vars(found).update(boundaries=SimpleNamespace(limbus_confidence=0.2, pupil_confidence=1.0))
+    vars(found).update(boundaries=found.boundaries._replace(limbus_confidence=0.2))
     assert any("limbus is doubtful (confidence 0.20)" in doubt for doubt in doubts_of(found))
 
 

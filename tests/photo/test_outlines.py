@@ -152,7 +152,7 @@ def test_given_outlines_are_kept_and_the_other_one_is_found():
         Ellipse((1, 1), (9, 8)),
         eye.pupil._replace(centre=(2, 2)),
     )
-    assert found[2:] == (1.0, 1.0, None, None)  # nothing to be seen of a margin
+    assert found[2:6] == (1.0, 1.0, None, None)  # nothing to be seen of a margin
 
 
 def test_a_given_outline_outside_the_picture_is_refused():
@@ -200,3 +200,94 @@ def test_a_pupil_of_eight_millimetres_is_right_or_doubted():
     found = find_boundaries(eye.photograph())
     off = found.pupil.relative_radius(*eye.pupil.points(np.linspace(0, 2 * np.pi, 60)).T) - 1
     assert abs(off).max() < 0.01 or found.pupil_confidence < MIN_CONFIDENCE
+
+
+def near(found, eye: Simulated, within=0.04) -> bool:
+    """Whether both outlines are right to 4 % of the limbus's radius, and said to be."""
+    off = [
+        max(np.hypot(*np.subtract(e.centre, t.centre)), abs(e.mean_radius - t.mean_radius))
+        for e, t in ((found.limbus, eye.limbus), (found.pupil, eye.pupil))
+    ]
+    sure = min(found.limbus_confidence, found.pupil_confidence)
+    return max(off) < within * eye.limbus.mean_radius and sure > MIN_CONFIDENCE
+
+
+@pytest.fixture(scope="module")
+def small():
+    """An eye between lids and lashes, seen from ahead, 62 pixels in radius."""
+    return photographed("blue_dirty.jpg", 1 / 8)
+
+
+def places(eye: Simulated):
+    """Places in radii of the limbus, to the right and down, and the distance from its middle."""
+    row, column = np.mgrid[: eye.pixels.shape[0], : eye.pixels.shape[1]]
+    (x, y), r = eye.limbus.centre, eye.limbus.mean_radius
+    return (column - x) / r, (row - y) / r, np.hypot(column - x, row - y) / r
+
+
+def mirrored_window(eye: Simulated) -> Simulated:
+    """Burnt out, over the pupil's rim."""
+    u, v, _ = places(eye)
+    window = (abs(u) < 0.3) & (v > -0.62) & (v < -0.1)
+    return eye._replace(pixels=eye.pixels + 1.5 * window[..., None])
+
+
+def mirrored_sky(eye: Simulated) -> Simulated:
+    """Half as bright as the iris, over the upper half of the pupil but for a dark post."""
+    u, v, r = places(eye)
+    sky = (r < 0.8) & (abs(u) < 0.55) & (v < 0) & (v > -0.35) & ~((abs(u) < 0.1) & (v > -0.25))
+    sky = ndimage.gaussian_filter(sky.astype(float), 0.6)
+    return eye._replace(pixels=eye.pixels + sky[..., None] * [0.06, 0.10, 0.17])
+
+
+def soft_limbus(eye: Simulated) -> Simulated:
+    near = np.exp(-(((places(eye)[2] - 1) / 0.08) ** 2))[..., None]
+    smooth = ndimage.gaussian_filter(eye.pixels, (3, 3, 0))
+    return eye._replace(pixels=eye.pixels * (1 - near) + near * smooth)
+
+
+def yellow_ring(eye: Simulated) -> Simulated:
+    share = ((places(eye)[2] < 0.62)[..., None]) * np.array([1.2, 0.25, -0.65])
+    return eye._replace(pixels=eye.pixels * (1 + share))
+
+
+@pytest.mark.parametrize("change", [mirrored_window, mirrored_sky, soft_limbus, yellow_ring])
+def test_an_eye_as_people_photograph_it(small, change):
+    eye = change(small)
+    assert near(find_boundaries(eye.photograph()), eye)
+
+
+def test_a_pupil_given_by_hand_does_not_make_the_limbus_worse(small):
+    eye = mirrored_sky(small)
+    found = find_boundaries(eye.photograph(), pupil=eye.pupil)
+    assert found.pupil == eye.pupil and near(found, eye)
+
+
+def in_a_face(eye: Simulated, size=330) -> Simulated:
+    """A brow, and a socket in the shade, of which the eye is a small part."""
+    row, column = np.mgrid[:size, :size] - size // 2
+    socket = 1 / (1 + np.exp((np.hypot(column / 130, row / 115) - 1) / 0.06))
+    face = SKIN * (1 - 0.35 * socket)[..., None]
+    brow = (abs(row + 90 - (column / 110) ** 2 * 30) < 12) & (abs(column) < 95)
+    face = face * (1 - 0.8 * ndimage.gaussian_filter(brow.astype(float), 3))[..., None]
+    rows, columns = eye.pixels.shape[:2]
+    top, left = (size - rows) // 2, (size - columns) // 2
+    face[top : top + rows, left : left + columns] = eye.pixels
+    return Simulated(face, eye.limbus.moved(left, top), eye.pupil.moved(left, top))
+
+
+def test_an_eye_in_a_face_is_not_its_socket(small):
+    eye = in_a_face(photographed("blue_dirty.jpg", 1 / 14))
+    assert near(find_boundaries(eye.photograph()), eye)
+
+
+def test_one_of_several_eyes_is_chosen():
+    eye = with_noise(drawn(size=(150, 150), middle=(75, 75), radius=40.0))
+    photo = as_photograph(np.concatenate([eye.pixels, eye.pixels], 1), "two.png")
+    for name, column in (("left", 75), ("right", 225), ("1", 75), ("2", 225)):
+        found = find_boundaries(photo, eye=name)
+        assert found.eyes == 2 and abs(found.limbus.centre[0] - column) < 2
+    with pytest.raises(ValueError, match=r"two\.png: --eye 3, but the picture shows 2"):
+        find_boundaries(photo, eye="3")
+    with pytest.raises(ValueError, match="left, right or a number"):
+        find_boundaries(photo, eye="upper")
