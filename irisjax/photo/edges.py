@@ -85,7 +85,7 @@ class Expected(NamedTuple):
 UNKNOWN = Expected()
 
 
-class Fit(NamedTuple):
+class FittedEllipse(NamedTuple):
     """An ellipse through edges.
 
     Attributes:
@@ -271,7 +271,7 @@ def best_outline(
 
 def refine_outline(
     outline: Ellipse, value: _Rays, place: _Rays, weight: _Rays, expected: Expected = UNKNOWN
-) -> Fit:
+) -> FittedEllipse:
     """Fit an ellipse through the edges of `Edges.strongest`, in which each ray has a `weight`.
 
     Where the edges lie at the sides alone, what is `expected` decides.
@@ -279,12 +279,12 @@ def refine_outline(
     middle = np.asarray(outline.centre)
     points = middle + place[:, None] * (outline.points(RAYS) - middle)
     if (value > _LEAST).sum() < 12:
-        return Fit(outline, 0.0, expected.flattening_sd)
+        return FittedEllipse(outline, 0.0, expected.flattening_sd)
     better, sd = _fitted(outline, points, weight * value**2 * (value > _LEAST), expected)
     off = abs(better.relative_radius(points[:, 0], points[:, 1]) - 1)
     near = off < 0.02 + 0.5 / better.semi_axes[0]
     support = (weight * value * near).sum() / weight.sum()
-    return Fit(better, float(support), sd)
+    return FittedEllipse(better, float(support), sd)
 
 
 def _fitted(start: Ellipse, points, weights, expected: Expected) -> tuple[Ellipse, float]:

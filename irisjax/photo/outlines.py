@@ -6,7 +6,15 @@ import numpy as np
 from scipy import ndimage, optimize, special
 
 from irisjax.photo import edges
-from irisjax.photo.edges import FINE, RAYS, ROUGH, Fit, along_rays, cut_around, refine_outline
+from irisjax.photo.edges import (
+    FINE,
+    RAYS,
+    ROUGH,
+    FittedEllipse,
+    along_rays,
+    cut_around,
+    refine_outline,
+)
 from irisjax.photo.photograph import Ellipse, Photograph
 from irisjax.photo.pose import FLATTER, LIMBUS_FLAT, PUPIL_OVAL
 
@@ -91,7 +99,7 @@ class Evidence(NamedTuple):
 class Pair(NamedTuple):
     """Outlines of one eye, the evidence for them, and its weight from 0 to 1."""
 
-    limbus: Fit
+    limbus: FittedEllipse
     pupil: PupilEdge
     evidence: Evidence
     worth: float
@@ -150,6 +158,8 @@ def find_boundaries(
         ValueError: If nothing resembles an iris, a given outline lies outside the picture, or it
             does not show that many eyes.
     """
+    if not (eye in (None, "left", "right") or eye.isdecimal()):
+        raise ValueError(f"--eye {eye}: write left, right or a number from 1")
     for name, given in (("limbus", limbus), ("pupil", pupil)):
         if given is not None and not _within(given, photo.shape):
             rows, columns = photo.shape
@@ -157,7 +167,7 @@ def find_boundaries(
                 f"{photo.name}: the middle of the {name} given, {given.centre}, is outside the "
                 f"picture of {columns} x {rows} pixels"
             )
-    fit = None if limbus is None else Fit(limbus, 1.0, 0.0)
+    fit = None if limbus is None else FittedEllipse(limbus, 1.0, 0.0)
     inner = None if pupil is None else PupilEdge(pupil, 1.0)
     if fit and inner:
         margin = beginning_of(photo, fit.outline, inner).margin
@@ -227,13 +237,13 @@ def _usual_place(limbus: Ellipse, pupil: Ellipse) -> float:
     return float(np.exp(-0.5 * (aside / _FAR_ASIDE) ** 2))
 
 
-def _pupil_near(picture, cut_off, circle: Ellipse) -> Fit:
+def _pupil_near(picture, cut_off, circle: Ellipse) -> FittedEllipse:
     """Fit a pupil near a circle."""
     span = (0.5, 1.65)
     steps = edges.steps_along(
         _profile(picture, cut_off, circle, span, 93), span, _PUPIL_WIDTHS[1:], 0.2
     )
-    fit = Fit(edges.best_outline(circle, steps.place, steps.score()), 0.0, 0.1)
+    fit = FittedEllipse(edges.best_outline(circle, steps.place, steps.score()), 0.0, 0.1)
     span, near_frontal = (0.7, 1.3), edges.Expected(flattening_sd=0.07)
     for near in (0.12, 0.08):
         profile = _profile(picture, cut_off, fit.outline, span, 121)
@@ -269,7 +279,7 @@ def beginning_of(photo: Photograph, limbus: Ellipse, near: PupilEdge) -> PupilEd
 
 def limbus_near(
     photo: Photograph, start: Ellipse, pupil: PupilEdge | None = None, coarse: bool = True
-) -> Fit:
+) -> FittedEllipse:
     """Refine a limbus near a circle (`coarse`) or near an ellipse.
 
     A pupil suggests where the limbus's centre is and how flat it is. The support is the share of
@@ -287,7 +297,7 @@ def limbus_near(
         steps, white, _ = _limbus_edges(*seen, outline, (0.5, 1.65), 93, _LIMBUS_WIDTHS[1:])
         score = steps.score() * white * _beside_lids(outline)[:, None]
         outline = edges.best_outline(outline, steps.place, score, expected)
-    fit = Fit(outline, 0.0, expected.flattening_sd)
+    fit = FittedEllipse(outline, 0.0, expected.flattening_sd)
     for near in (0.1, 0.06) if coarse else (0.06, 0.04, 0.04):
         steps, white, profile = _limbus_edges(*seen, fit.outline)
         value, place = _half_way(profile, steps, white, near)
@@ -325,7 +335,7 @@ def limbus_width_of(photo: Photograph, limbus: Ellipse) -> float | None:
     return float(np.sqrt(max((high - low) ** 2 - blur**2, 0)) / _QUARTILES_OF_SMOOTHSTEP)
 
 
-def _eyes(photo: Photograph, limbus: Fit | None, pupil: PupilEdge | None, every: bool):
+def _eyes(photo: Photograph, limbus: FittedEllipse | None, pupil: PupilEdge | None, every: bool):
     """The eyes of a picture, the one with the most evidence first."""
     found = list[Pair]()
     for start in [limbus.outline] if limbus else _starts(photo.pixels.mean(-1), pupil):
@@ -348,7 +358,9 @@ def _eyes(photo: Photograph, limbus: Fit | None, pupil: PupilEdge | None, every:
     return eyes
 
 
-def _paired(photo: Photograph, start: Ellipse, limbus: Fit | None, pupil: PupilEdge | None) -> Pair:
+def _paired(
+    photo: Photograph, start: Ellipse, limbus: FittedEllipse | None, pupil: PupilEdge | None
+) -> Pair:
     """The outlines near a circle, and what speaks for them."""
     inner, fit = pupil or pupil_within(photo, start), limbus
     if fit is None:
@@ -361,16 +373,16 @@ def _paired(photo: Photograph, start: Ellipse, limbus: Fit | None, pupil: PupilE
     return _weighed(photo, fit, inner)
 
 
-def _weighed(photo: Photograph, limbus: Fit, pupil: PupilEdge) -> Pair:
+def _weighed(photo: Photograph, limbus: FittedEllipse, pupil: PupilEdge) -> Pair:
     evidence = _evidence(photo, limbus, pupil)
     return Pair(limbus, pupil, evidence, min(_probabilities(evidence)))
 
 
 def _finished(
     photo: Photograph,
-    near: Fit,
+    near: FittedEllipse,
     near_pupil: PupilEdge,
-    limbus: Fit | None,
+    limbus: FittedEllipse | None,
     pupil: PupilEdge | None,
     eyes: int,
 ) -> Boundaries:
@@ -403,7 +415,7 @@ def _probabilities(evidence: Evidence) -> tuple[float, float]:
     return limbus, pupil
 
 
-def _evidence(photo: Photograph, limbus: Fit, pupil: PupilEdge) -> Evidence:
+def _evidence(photo: Photograph, limbus: FittedEllipse, pupil: PupilEdge) -> Evidence:
     outer, inner = limbus.outline, pupil.outline
     half = np.array(photo.shape[::-1]) / 2
     shown = [(abs(e.points(RAYS) + 0.5 - half) < half).all(1).mean() for e in (outer, inner)]
@@ -505,8 +517,6 @@ def _chosen(name: str, eyes: list[Pair], eye: str | None) -> Pair:
     if eye is None:
         return eyes[0]
     across = sorted(eyes, key=lambda p: p.limbus.outline.centre[0])
-    if eye not in ("left", "right") and not eye.isdecimal():
-        raise ValueError(f"--eye {eye}: write left, right or a number from 1")
     number = {"left": 1, "right": len(eyes)}.get(eye) or int(eye)
     if not 1 <= number <= len(eyes):
         raise ValueError(f"{name}: --eye {eye}, but the picture shows {len(eyes)}")
