@@ -59,11 +59,10 @@ def main(key, quick=False, out=RESULTS):
             row += [off, sure]
         rows.append((*row, *(found.evidence or ())))
     names = "photograph", "limbus_error", "limbus_confidence", "pupil_error", "pupil_confidence"
-    end = "_quick" if quick else ""
-    write(out / f"outline_confidence{end}.csv", about, (*names, *Evidence._fields), rows)
+    write(out / "outline_confidence.csv", about, (*names, *Evidence._fields), rows)
     table = [(name, *line) for name in counted for line in reliability(counted[name])]
     columns = "outline", "from", "to", "number", "mean_confidence", "share_right"
-    write(out / f"outline_confidence_table{end}.csv", about, columns, table)
+    write(out / "outline_confidence_table.csv", about, columns, table)
 
 
 def reliability(counted: list[tuple[float, bool]]) -> Iterator[tuple]:
