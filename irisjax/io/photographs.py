@@ -1,9 +1,10 @@
 """Photographs of all kinds, cameras' raw files too, as pixels in proportion to light."""
 
+import importlib
 import tempfile
 from functools import reduce
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -84,7 +85,8 @@ def _as_png(path: str | Path, folder: Path) -> Path:
     with open(path, "rb"):  # the system's word on files that are missing or forbidden
         pass
     try:
-        import pillow_heif  # pyright: ignore[reportMissingImports]
+        # By name: whether its types are known must not depend on what is installed.
+        pillow_heif: Any = importlib.import_module("pillow_heif")
     except ImportError:
         need = "HEIC needs pillow_heif: install irisjax[heic] (pip install pillow-heif), or convert"
         raise ValueError(f"{need} the photograph to JPEG") from None
