@@ -152,7 +152,7 @@ def _made(random: np.random.Generator, textures: dict[str, np.ndarray]) -> Made:
     eye = rising * white * (1 - 0.25 * np.clip(abs(u) - 1, 0, 1) ** 2)[..., None]
     eye = eye + (1 - rising) * iris * margin
     eye = eye * np.exp(random.normal(0, 0.3) * u + random.normal(0, 0.1) * v)[..., None]
-    # What is mirrored before it.
+    # Windows and lamps are mirrored in the cornea.
     mirrored = np.zeros(u.shape)
     for _ in range(int(random.integers(0, 3))):
         mirrored += 3.0 * (

@@ -30,7 +30,7 @@ def main():
     )
     for ax, title in zip(axes, titles, strict=True):
         ax.fill_between([-1.2, 1.2], -0.35, 0, color=TISSUE, lw=0)
-        ax.set(xlim=(-1.25, 1.25), ylim=(-0.45, 1.75), aspect="equal")
+        ax.set(xlim=(-1.25, 1.25), ylim=(-0.62, 1.75), aspect="equal")
         ax.set_title(title, fontsize=8)
         ax.axis("off")
     for ax, trap in zip(axes[:2], (False, True), strict=True):
@@ -42,6 +42,7 @@ def main():
         if trap:
             ax.plot(*_toward(-8, 1.46), "s", color="k", ms=8)
             ax.text(-0.35, 1.55, "trap", fontsize=7, ha="right")
+            _ray(ax, (0, 0), _toward(-8, 1.4), "0.55")
         else:
             _ray(ax, (0, 0), _toward(-8, 1.4), SEEN)
     _ray(axes[2], _toward(-45, 1.5), (0, 0), LIGHT)
@@ -54,9 +55,11 @@ def main():
     _ray(axes[4], (0.12, 0), (0.12, 1.45), SEEN)
     for side in (-1, 1):
         _ray(axes[4], (0.3 * side, -0.17), (0.95 * side, -0.17), "0.25")
-    axes[4].text(0, -0.44, "lost sideways", fontsize=7, ha="center")
-    axes[0].text(-1.2, -0.42, "light orange, read blue", fontsize=7)
-    figure.tight_layout(pad=0.3)
+    axes[4].text(0, -0.56, "lost sideways", fontsize=7, ha="center")
+    for colour, name in ((LIGHT, "light"), (SEEN, "what the instrument reads")):
+        axes[2].plot([], [], color=colour, label=name)
+    figure.tight_layout(pad=0.3, rect=(0, 0.08, 1, 1))
+    figure.legend(loc="lower center", ncol=2, fontsize=7, frameon=False)
     save(figure, "geometries")
 
 

@@ -21,7 +21,7 @@ def main():
     """A panel a kind of groups."""
     rows = read("groups.csv")
     kinds = list(dict.fromkeys(r["groups"] for r in rows))
-    figure, axes = plt.subplots(1, len(kinds), figsize=(7.2, 3.2), sharey=True)
+    figure, axes = plt.subplots(1, len(kinds), figsize=(8.4, 3.2), sharey=True)
     for ax, kind in zip(axes, kinds, strict=True):
         for i, (quantity, (colour, marker, label)) in enumerate(LINES.items()):
             mine = [r for r in rows if (r["groups"], r["quantity"]) == (kind, quantity)]
@@ -30,7 +30,7 @@ def main():
             ax.plot(x, held, marker, color=colour, ms=4, ls="none", label=label)
         ax.axhline(95, color="0.4", lw=0.8)
         names = [r["parameter"].replace("_", "\n") for r in mine]
-        ax.set_xticks(range(len(mine)), names, fontsize=7)
+        ax.set_xticks(range(len(mine)), names, fontsize=6)
         ax.set(title=f"groups: {kind}", ylim=(0, 102))
     axes[0].set_ylabel("intervals of 95 % that hold, of 100")
     axes[0].legend(fontsize=6, loc="lower left")

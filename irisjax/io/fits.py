@@ -18,7 +18,7 @@ from irisjax.io.tables import naming
 COVARIANCES = ("eye", "parameter", "prior", "other", "covariance")
 """Columns of the file of covariances."""
 CONVERGED = "converged"
-"""In the column `posterior`: the chain is long enough."""
+"""Entry of the column `posterior` of an eye whose chain is long enough."""
 
 
 class FittedEyes(NamedTuple):
@@ -32,8 +32,8 @@ class FittedEyes(NamedTuple):
             covariance, the gain marginalised.
         process: Of the light, by its name in commands.
         left_out: Names of eyes that are not used, and their status.
-        draws: Of the posteriors in these coordinates, or `None` unless every eye has a converged
-            one (`--posteriors`).
+        draws: Draws of the posteriors in these coordinates; `None` unless every eye has a
+            converged posterior (`--posteriors`).
     """
 
     names: tuple[str, ...]
@@ -120,7 +120,7 @@ def read_fits(path: Path, status: Iterable[str] = ("ok",)) -> FittedEyes:
 
 
 def _drawn(path: Path, priors: Mapping[str, AbstractPrior]) -> np.ndarray:
-    """Draws of a posterior's file, evenly over its walkers and steps."""
+    """Read draws from a posterior's file, spread evenly over its walkers and steps."""
     import h5netcdf
 
     with h5netcdf.File(path) as file:

@@ -85,7 +85,7 @@ def _as_png(path: str | Path, folder: Path) -> Path:
     with open(path, "rb"):  # the system's word on files that are missing or forbidden
         pass
     try:
-        # By name: whether its types are known must not depend on what is installed.
+        # The module is imported by its name, so that types are checked alike with and without it.
         pillow_heif: Any = importlib.import_module("pillow_heif")
     except ImportError:
         need = "HEIC needs pillow_heif: install irisjax[heic] (pip install pillow-heif), or convert"

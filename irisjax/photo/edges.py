@@ -67,7 +67,7 @@ class Edges(NamedTuple):
 
 
 class Expected(NamedTuple):
-    """What is known of an ellipse before its edges are seen.
+    """A normal prior of an ellipse, before its edges are seen.
 
     Attributes:
         flattening: Mean of the components of `Ellipse.flattening`.

@@ -69,7 +69,7 @@ class PupilEdge(NamedTuple):
 
 
 class Evidence(NamedTuple):
-    """What speaks for a pair of outlines, each from 0 to 1.
+    """Evidence that a pair of outlines is right, each number from 0 to 1.
 
     Attributes:
         limbus: Share of the limbus that edges support, where no lid hides it.
@@ -120,7 +120,7 @@ class Boundaries(NamedTuple):
         flattening_sd: Standard deviations of the components of the flattening of limbus and pupil,
             from the scatter of their edges; 0 if given.
         eyes: Number of eyes that were found.
-        evidence: What speaks for the outlines; `None` if both are given.
+        evidence: The evidence for the outlines; `None` if both are given.
     """
 
     limbus: Ellipse
@@ -220,7 +220,7 @@ def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> Pup
         a, b = limbus.semi_axes
         return PupilEdge(limbus._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
     picture = _first_rise(picture, ceiling)
-    # What is mirrored in a pupil may leave a smaller circle beside its middle.
+    # A reflection in the pupil may leave a smaller dark circle beside its middle.
     best = circles[int(np.argmax(worth))]
     middle = 0.5 * np.add(best.centre, outline.centre)
     starts = best, best._replace(centre=(middle[0], middle[1]))
@@ -361,7 +361,7 @@ def _eyes(photo: Photograph, limbus: FittedEllipse | None, pupil: PupilEdge | No
 def _paired(
     photo: Photograph, start: Ellipse, limbus: FittedEllipse | None, pupil: PupilEdge | None
 ) -> Pair:
-    """The outlines near a circle, and what speaks for them."""
+    """Find the outlines near a circle, and the evidence for them."""
     inner, fit = pupil or pupil_within(photo, start), limbus
     if fit is None:
         fit = limbus_near(photo, start, inner)
@@ -407,7 +407,7 @@ def _finished(
 
 
 def _probabilities(evidence: Evidence) -> tuple[float, float]:
-    """Of limbus and pupil being right, by logistic regression."""
+    """Return the probabilities that limbus and pupil are right, by logistic regression."""
     known = np.append(1.0, evidence)
     logits = np.array(_LIMBUS_LOGIT) @ known, np.array(_PUPIL_LOGIT) @ known
     possible = evidence.whole * evidence.shape
@@ -519,7 +519,7 @@ def _chosen(name: str, eyes: list[Pair], eye: str | None) -> Pair:
     across = sorted(eyes, key=lambda p: p.limbus.outline.centre[0])
     number = {"left": 1, "right": len(eyes)}.get(eye) or int(eye)
     if not 1 <= number <= len(eyes):
-        raise ValueError(f"{name}: --eye {eye}, but the picture shows {len(eyes)}")
+        raise ValueError(f"{name}: --eye {eye}, but the picture shows {len(eyes)} in all")
     return across[number - 1]
 
 

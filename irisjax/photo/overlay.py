@@ -11,14 +11,15 @@ from irisjax.photo.photograph import Colours, Ellipse
 from irisjax.render.project import onto_picture
 
 _LONG = 1200  # px along the long side
-_LIMBUS, _PUPIL, _LAMP = (0, 255, 0), (255, 60, 60), (255, 255, 0)
+# Blue beside green is told apart by those who do not tell red from green.
+_LIMBUS, _PUPIL, _LAMP = (0, 255, 0), (80, 160, 255), (255, 255, 0)
 _HIDDEN = np.array([255.0, 0.0, 255.0])
 _MOST_LAMPS = 12  # an environment has more
 
 
 def draw_overlay(found: Outlined) -> Colours:
-    """Return the photograph, sRGB-encoded, with the outlines of limbus (green) and pupil (red), the
-    pixels of the iris that something hides (tinted), and the mirror images of lamps (yellow).
+    """Return the photograph, sRGB-encoded, with the outlines of limbus (green) and pupil (blue),
+    the pixels of the iris that something hides (tinted), and mirror images of lamps (yellow).
     """
     photograph, outlines = found.photograph, found.boundaries
     scale = min(1.0, _LONG / max(photograph.shape))
@@ -56,7 +57,7 @@ def _on_part(found: Posed, column, row):
 
 
 def _lamps(found: Lit) -> list[tuple[float, float]]:
-    """Where the photograph shows the lamps mirrored in the cornea."""
+    """Find the columns and rows at which the photograph shows lamps mirrored in the cornea."""
     seen, lamps = found.view.mirror, found.lighting.lamps
     if seen is None or lamps is None:
         return []

@@ -53,9 +53,11 @@ DECENTRED = 0.27
 nose is.
 """
 PUPIL_SHIFT = 0.12
-"""By how much a pupil moves towards the camera over sin(tilt), relative to the limbus's radius."""
-_UPWARD = 0.2 / 5.9  # of a pupil above the limbus's middle, relative to its radius  [Wyatt 1995]
-_USUAL_TILT, _RARE_TILT, _RARE = 8.0, 35.0, 0.8  # degrees, standard deviations; share of the rare
+"""Shift of the pupil's image towards the camera over sin(tilt), relative to the limbus's radius."""
+_UPWARD = 0.2  # height of the pupil's middle above the limbus's, mm  [Wyatt 1995]
+# Standard deviations (degrees) of the tilts of eyes that look at the camera and of others, and the
+# share of the others; assumed.
+_FRONTAL_TILT, _ASIDE_TILT, _ASIDE = 8.0, 35.0, 0.8
 _STRETCHED, _STRETCH = 0.015, 0.12  # share of files that are, and the logarithm's spread; assumed
 _CLEAR = 0.06  # logarithm of a stretch that matters
 _SHARP = 0.002  # standard deviation of an outline's middle and size, relative to its radius
@@ -303,8 +305,9 @@ def tilts_of_people(
     off = abs(flat + LIMBUS_FLAT + wide - seen[0]) ** 2 / spread[0] ** 2
     off = off + abs(flat / FLATTER + wide - seen[1]) ** 2 / spread[1] ** 2
     right, down = np.subtract(pupil.centre, limbus.centre) / limbus.mean_radius
-    aside = abs(PUPIL_SHIFT * np.sin(t) * np.exp(1j * a) + 1j * _UPWARD - complex(right, -down))
-    off = off + (aside / (DECENTRED / 5.9)) ** 2
+    millimetre = 1 / limbus_spread()[0]
+    moved = PUPIL_SHIFT * np.sin(t) * np.exp(1j * a) + 1j * _UPWARD * millimetre
+    off = off + (abs(moved - complex(right, -down)) / (DECENTRED * millimetre)) ** 2
     share = np.sin(t) * np.exp(-_unusual(t) - 0.5 * (off - off.min())) * prior
     share /= share.sum()
     each = share.sum((1, 2))
@@ -324,7 +327,7 @@ def tilts_of_people(
 def _unusual(tilt):
     """Negative logarithm of the density of tilts in photographs over that of a frontal eye."""
     degrees = np.degrees(tilt)
-    parts = (1 - _RARE, _USUAL_TILT), (_RARE, _RARE_TILT)
+    parts = (1 - _ASIDE, _FRONTAL_TILT), (_ASIDE, _ASIDE_TILT)
     density = sum(p / sd**2 * np.exp(-0.5 * (degrees / sd) ** 2) for p, sd in parts)
     return -np.log(density / sum(p / sd**2 for p, sd in parts))
 

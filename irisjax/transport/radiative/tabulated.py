@@ -44,7 +44,7 @@ from irisjax.transport.solver import AbstractSolver, check_black, check_rayleigh
 
 _NODES = 24, 40, 12, 8  # along τ_A, τ, 1 − ω and the cosine
 _BRDF_NODES = 12, 24, 8, 6, 6  # along τ_A, τ, 1 − ω and the cosines in and out
-# Of the weights of reflectance, other fates and BRDFs, what is left out where they are compressed.
+# Compression leaves out these shares of the weights of reflectance, of other fates and of BRDFs.
 _LEFT_OUT = 1e-6, 4e-6, 1e-5
 _ANGLES = 32  # of the exact solution at the nodes
 _THIN = (
@@ -253,7 +253,7 @@ def _table(indices: RefractiveIndices) -> np.ndarray:
 
 
 def _brdf_table(indices: RefractiveIndices) -> np.ndarray:
-    """What light scattered oftener than once adds, at the nodes."""
+    """Compute the BRDF of light that is scattered more than once, at the nodes."""
     points, outside = _nodes(*_BRDF_NODES[:3]), _outside_nodes(_BRDF_NODES[3], indices)
     found = _in_double(partial(_exactly, orders.multiple_scattering), points, outside, indices)
     return found.reshape(*_BRDF_NODES, 3)
