@@ -63,7 +63,7 @@ def _compared(found: Fitted):
     """Photograph and rendering, reduced; shares of the pixels that differ by at most so many of 255
     steps; RMS per channel.
     """
-    both = compare_with_photograph(found, 2)
+    both = compare_with_photograph(found)
     off = 255 * np.abs(both.photograph - both.rendered)[both.clear]
     shares = [
         (step, [float((off[:, k] <= step).mean()) for k in range(3)]) for step in range(0, 121, 2)

@@ -62,7 +62,7 @@ def main(key, quick=False, out=RESULTS):
             found = clone_to_pigments(photograph, VARIANTS[name])
             texture = found.texture
             truth = true_thickness(colour, texture)
-            estimate, both = found.morphology.thickness, compare_with_photograph(found, 2)
+            estimate, both = found.morphology.thickness, compare_with_photograph(found)
             scores.append((colour, name, *_score(found, truth, both)))
             row.append(_detail(_flat(brightened(both.rendered), found).pixels))
             arrays[f"{colour} {name}"] = _micrometres(estimate)

@@ -20,7 +20,13 @@ from irisjax.io.clones import CLONE_FILES, OVERLAY, files_of, overlay_of
 from irisjax.io.photographs import read_photograph
 from irisjax.numerics.checks import Range
 from irisjax.photo import clone as cloning
-from irisjax.photo.clone import compare_with_photograph, doubtful_outlines, doubts_of, per_cent
+from irisjax.photo.clone import (
+    Doubt,
+    compare_with_photograph,
+    doubtful_outlines,
+    doubts_of,
+    per_cent,
+)
 from irisjax.photo.photograph import Ellipse
 from irisjax.plot.beside import beside, here
 from irisjax.render.environment import Environment
@@ -175,7 +181,9 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
             # No stage follows a doubtful outline.
             for known in () if doubtful_outlines(found) else run:
                 found = known
-                if both is None and isinstance(known, cloning.Fitted):  # before the posterior
+                last = results.stop_after == "pigments" or isinstance(known, cloning.Coloured)
+                # Before the posterior, which takes longest.
+                if both is None and isinstance(known, cloning.Fitted) and last:
                     both, eye = compare_with_photograph(known), known.scene().eye
                     pictures = both.photograph, both.rendered
                     radius = float(0.5 * (eye.pupil_radius + eye.iris_radius))
@@ -190,18 +198,23 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
                 folder.mkdir(parents=True, exist_ok=True)
                 io.write_together({folder / OVERLAY: overlay_of(found)})
                 raise ValueError(f"{error}; look at {folder / OVERLAY}") from None
-            failed = (f"{wanted[len(timings)]}: {error}; the stages before it are written",)
+            said = f"{wanted[len(timings)]}: {error}; the stages before it are written"
+            failed = (Doubt("model", said),)
         bar.close()
         for note in photograph.notes:
             opt.tell(f"{picture.photograph}: {note}")
         given = {n: v for group in (picture, model) for n, v in vars(group).items() if n != "typed"}
         words = {n: str(v) if isinstance(v, Path) else v for n, v in given.items()}
-        doubts = doubts_of(found, None if both is None else both.rms) + failed
+        doubts = doubts_of(found, None if both is None else both.rms_of_pigments) + failed
         files = files_of(found, words, timings, both, doubts)
         if both is not None:
-            print(f"difference of the pictures, RMS: {per_cent(both.rms)} % (R, G, B)")
+            own = per_cent(both.rms_of_pigments)
+            print(
+                f"difference of the pictures, RMS: {per_cent(both.rms)} % (R, G, B); by the "
+                f"pigments alone {own} %"
+            )
             files |= {name: later() for name, later in drawn.items()}
-            files[PHOTOGRAPH] = encode_photograph(both.photograph)
+            files[PHOTOGRAPH] = encode_photograph(both.balanced)
     folder.mkdir(parents=True, exist_ok=True)
     io.write_together({folder / name: data for name, data in files.items()})
     for name in {*CLONE_FILES, *_FIGURES, PHOTOGRAPH} - set(files):  # of an earlier, longer run
@@ -211,7 +224,7 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
 
 
 def report(
-    found: cloning.Outlined, cross_polarised: bool, folder: Path, doubts: tuple[str, ...]
+    found: cloning.Outlined, cross_polarised: bool, folder: Path, doubts: tuple[Doubt, ...]
 ) -> None:
     """Print what was found, and on standard error what is doubtful."""
     left, right, top, bottom = found.crop()
@@ -224,7 +237,7 @@ def report(
             + (" (--eye takes another)" if number > 1 else "")
         )
     for doubt in doubts:
-        opt.tell(f"WARNING: {doubt}")
+        opt.tell(f"WARNING: {doubt.sentence}")
     if isinstance(found, cloning.Posed):
         pose = found.pose
         where = "" if pose.distance is None else f", {pose.distance:.0f} mm away"
@@ -245,7 +258,9 @@ def report(
             )
         if found.lighting.found == 0:
             opt.tell("no highlight on the cornea shows a lamp: light from all round is assumed")
-    if isinstance(found, cloning.Sampled):
+    if isinstance(found, cloning.Sampled) and any(d.kind == "model" for d in doubts):
+        print("the pigments are not printed, for the doubts above; clone.json has them")
+    elif isinstance(found, cloning.Sampled):
         print(f"{'parameter':<20}{'median':>10}{'95 %':>22}{'contraction':>13}")
         for name, e in found.posterior.estimates.items():
             span = f"{e.low:.3g} to {e.high:.3g}"

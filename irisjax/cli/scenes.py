@@ -25,18 +25,22 @@ class Subject(opt.Group, panel="What"):
     )
     preset: str | None = opt.choice("an eye in a studio", PRESETS)
     seed: int = opt.seeded("maps of a preset")
+    no_residual: bool = opt.flag("a clone as its pigments alone make it, without the map residual")
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if "seed" in self.typed and self.scene is not None:
             raise ValueError("--seed is for what has no file: a scene file says its own")
+        if self.no_residual and self.scene is None:
+            raise ValueError("--no-residual is for a SCENE file, of a clone: give one")
 
     def read(self) -> SceneFile:
         """The scene of the file, or of the preset in a studio."""
         if self.scene is not None:
             if self.preset is not None:
                 raise ValueError("give a SCENE file or --preset, not both")
-            return read_scene(self.scene)
+            found = read_scene(self.scene)
+            return found.without_residual() if self.no_residual else found
         if self.preset is None:
             raise ValueError("give a SCENE file or --preset")
         return parse_scene(_STUDIO.format(self.preset, self.seed), f"preset {self.preset}")

@@ -112,6 +112,9 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
     bands, hazy = (colour_bands(scene.illuminant, scene.observer, c) for c in (None, eye.cornea))
     matt = Matt.of(scene.tissue, maps, eye, _joined(bands, hazy), integrator)
     colour, through, spectral = np.split(_in_uv(matt.albedo()), [3, 6], axis=-1)
+    if maps is not None and maps.residual is not None:
+        kept = _in_uv(maps.residual)
+        colour, through = colour * kept, through * kept
     clear = eye.cornea is None or eye.cornea.scatter is None
     haze = None if clear else _haze(colour, through, bands, hazy)
     clipped = int(((colour < 0) | (colour > 1)).any(-1).sum())

@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -10,13 +11,24 @@ from irisjax.io.images import encode_exr, encode_png
 from irisjax.io.maps import encode_maps
 from irisjax.io.sections import plain, toml_of
 from irisjax.measure.colour import srgb_encode
-from irisjax.photo.clone import Fitted, Flat, Outlined, PictureDifference, Posed, Sampled, Shaped
+from irisjax.photo.clone import (
+    DOUBTS,
+    Coloured,
+    Doubt,
+    Fitted,
+    Flat,
+    Outlined,
+    PictureDifference,
+    Posed,
+    Sampled,
+    Shaped,
+)
 from irisjax.photo.overlay import draw_overlay
 from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pigments import PIGMENT_UNITS, concentrations_of, iris_of_concentrations
 from irisjax.photo.pose import Pose, limbus_spread
+from irisjax.photo.texels import NAMES
 from irisjax.photo.texture import HALF_WIDTH
-from irisjax.render.environment import Environment
 from irisjax.render.integrators import integrator_name
 
 UNREFRACTED_PICTURE, VISIBLE_MASK = "unrefracted.png", "visible.png"
@@ -25,7 +37,7 @@ OVERLAY = "outlines.png"
 """Name of the photograph with what was found in it."""
 CLONE_FILES = (
     *("clone.json", OVERLAY, UNREFRACTED_PICTURE, VISIBLE_MASK, "freckles.png", "deconvolved.png"),
-    *("maps.exr", "scene.toml", "environment.exr", "convergence.csv"),
+    *("maps.exr", "deviations.exr", "scene.toml", "environment.exr", "convergence.csv"),
 )
 """Names of all files that `files_of` may write."""
 _REMARK = "estimated by irisjax from a photograph"
@@ -37,13 +49,16 @@ def files_of(
     settings: Mapping[str, object],
     timings: Mapping[str, float],
     pictures: PictureDifference | None = None,
-    doubts: Sequence[str] = (),
+    doubts: Sequence[Doubt] = (),
 ) -> dict[str, bytes]:
     """Return the files, by name, of a clone up to the last stage that it has reached, with options
-    of the command, seconds by the names of stages, and sentences on what is doubtful.
+    of the command, seconds by the names of stages, and what is doubtful.
     """
-    summary = _summary(clone, settings, timings) | {"doubts": doubts}
-    summary |= {} if pictures is None else {"picture_rms": pictures.rms}
+    said = {kind: [d.sentence for d in doubts if d.kind == kind] for kind in DOUBTS}
+    summary = _summary(clone, settings, timings) | {"doubts": said}
+    if pictures is not None:
+        summary["picture_rms"] = pictures.rms
+        summary["picture_rms_of_pigments"] = pictures.rms_of_pigments
     text = json.dumps(plain(summary, 8), indent=1, allow_nan=False) + "\n"
     found = {"clone.json": text.encode(), OVERLAY: overlay_of(clone)}
     if isinstance(clone, Flat):
@@ -56,11 +71,17 @@ def files_of(
         span = max(float(np.abs(shape.deconvolved).max()), 1e-6)
         found["freckles.png"] = _png(shape.freckles)
         found["deconvolved.png"] = _png(0.5 + 0.5 * shape.deconvolved / span)
-        found["maps.exr"] = encode_maps("maps.exr", shape.maps)
+        maps = clone.maps() if isinstance(clone, Fitted) else shape.maps
+        found["maps.exr"] = encode_maps("maps.exr", maps)
+    if isinstance(clone, Coloured) and clone.texels is not None:
+        layers = np.moveaxis(clone.texels.deviations, 0, -1), clone.texels.hidden[..., None]
+        remark = {"comments": "standard deviations of logarithms of maps.exr; 1 in what is hidden"}
+        image, names = np.concatenate(layers, -1), (*NAMES, "hidden")
+        found["deviations.exr"] = encode_exr("deviations.exr", image, names, remark)
     if isinstance(clone, Fitted):
         found["scene.toml"] = scene_text(clone).encode()
         around = clone.scene().environment
-        if around is not None and not _is_uniform(around):
+        if around is not None and not around.is_uniform():
             found["environment.exr"] = encode_exr("environment.exr", np.asarray(around.radiance))
         if log := clone.fit.log:
             rows = [",".join(log[0]), *(",".join(f"{v:.6g}" for v in r.values()) for r in log)]
@@ -120,6 +141,20 @@ def _summary(
             "windows_rms": fit.rms,
             "steps": fit.steps,
             "converged": fit.converged,
+        }
+    if isinstance(clone, Coloured) and clone.texels is not None:
+        own = clone.texels
+        pairs = combinations(range(len(NAMES)), 2)
+        found["texels"] = {
+            "medians": concentrations_of(own.iris),
+            "scattering_scale": own.iris.scattering_scale,
+            "exposure_factor": own.gain,
+            "outside_share": own.outside,
+            "explained_share": own.explained,
+            "hidden_share": own.hidden.mean(),
+            "sd_of_logarithms": dict(zip(NAMES, np.median(own.deviations, (1, 2)), strict=True)),
+            "correlations": {f"{NAMES[i]}, {NAMES[j]}": own.correlation[i, j] for i, j in pairs},
+            "table_error": own.error,
         }
     if isinstance(clone, Sampled):
         chains = clone.posterior.chains
@@ -188,13 +223,14 @@ def scene_text(clone: Fitted) -> str:
             "azimuth_deg": np.degrees(camera.azimuth),
             "distance": camera.distance,
             "width": camera.width,
+            "images": camera.images,
         },
         "picture": {
             "exposure": np.clip(clone.exposure[1], 1e-6, 1e6),
             "integrator": integrator_name(clone.integrator),
         },
     }
-    if around is not None and _is_uniform(around):
+    if around is not None and around.is_uniform():
         sections["environment"] = {"kind": "uniform", "strength": around.radiance[0, 0, 0]}
     elif around is not None:
         sections["environment"] = {"file": "environment.exr"}
@@ -209,10 +245,6 @@ def scene_text(clone: Fitted) -> str:
         rows = zip(*columns.values(), strict=True)
         sections["light"] = [dict(zip(columns, row, strict=True)) for row in rows]
     return f"# {_REMARK}: {clone.photograph.name}\n{toml_of(plain(sections, 6))}"
-
-
-def _is_uniform(around: Environment) -> bool:
-    return float(np.ptp(np.asarray(around.radiance))) == 0
 
 
 def _ellipse(outline: Ellipse) -> dict[str, object]:

@@ -13,8 +13,9 @@ from irisjax.io.images import encode_exr, read_image
 from irisjax.io.tables import naming, write_atomically
 from irisjax.tissue.maps import IrisMaps
 
-MAP_NAMES = tuple(f.name for f in dataclasses.fields(IrisMaps))
-"""Channel names of a file of maps."""
+RESIDUAL = tuple(f"residual.{name}" for name in "RGB")
+MAP_NAMES = tuple(f.name for f in dataclasses.fields(IrisMaps) if f.name != "residual")
+"""Channel names of a file of maps, beside `RESIDUAL`."""
 
 _PACKED = {"R": "relief", "G": "abl_depth", "B": "stroma_depth", "A": "freckles"}
 
@@ -33,9 +34,12 @@ def read_maps(path: str | Path) -> IrisMaps:
         channels = dict(zip(image.channels, np.moveaxis(image.pixels, -1, 0), strict=True))
         if set(channels) in ({"R", "G", "B"}, {"R", "G", "B", "A"}):
             channels = {_PACKED[name]: values for name, values in channels.items()}
+        colours = [channels.pop(name) for name in RESIDUAL] if RESIDUAL[0] in channels else []
         if unknown := ", ".join(repr(name) for name in channels if name not in MAP_NAMES):
-            known = f"{', '.join(MAP_NAMES)}, or exactly R, G, B or R, G, B, A"
+            known = f"{', '.join(MAP_NAMES)}, {', '.join(RESIDUAL)}, or exactly R, G, B[, A]"
             raise ValueError(f"unknown channel {unknown}; maps have channels among {known}")
+        if colours:
+            channels["residual"] = np.stack(colours, -1)
         return IrisMaps(**channels)
 
 
@@ -49,6 +53,9 @@ def encode_maps(path: str | Path, maps: IrisMaps) -> bytes:
     present = maps.present()
     if not present:
         raise ValueError(f"{path}: there are no maps to write")
-    said = "rows angles, columns radii from the pupil; mm, freckles 0 to 1, melanins relative"
+    said = "rows angles, columns radii from the pupil; mm, freckles 0 to 1, others relative"
+    if "residual" in present:
+        colours = np.moveaxis(np.asarray(present.pop("residual")), -1, 0)
+        present |= zip(RESIDUAL, colours, strict=True)
     image = np.stack(list(present.values()), axis=-1)
     return encode_exr(path, image, tuple(present), {"comments": f"maps of an iris: {said}"})

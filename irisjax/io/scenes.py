@@ -22,7 +22,7 @@ from irisjax.measure.colour import illuminant_power
 from irisjax.numerics.checks import Range
 from irisjax.render.camera import CAMERA_LIMITS, LARGEST, Camera
 from irisjax.render.environment import ENVIRONMENTS
-from irisjax.render.integrators import INTEGRATORS
+from irisjax.render.integrators import INTEGRATORS, finer
 from irisjax.render.lights import LIGHT_LIMITS, Lights
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
 from irisjax.tissue.iris import LIMITS, MELANIN_LOAD, Iris
@@ -70,7 +70,16 @@ class SceneFile:
                 keys = self.sections.get(name, {})
                 key = next((k for k in keys if str(error).startswith(f"{k} ")), None)
                 raise _SceneError(f"{self.where(name, key)}: {name}: {error}") from None
+        if drawn and drawn["maps"].residual is not None:  # the maps of a photograph
+            parts["integrator"] = finer(chosen)
+            if not self._of("maps").get("residual", True):
+                drawn["maps"] = drawn["maps"].replace(residual=None)
         return Scene(**parts | drawn)
+
+    def without_residual(self) -> "SceneFile":
+        """The same scene without the map `residual` of its maps' file."""
+        maps = {**self.sections.get("maps", {}), "residual": False}
+        return dataclasses.replace(self, sections={**self.sections, "maps": maps})
 
     def _of(self, section: str) -> dict[str, Any]:
         return dict(self.sections.get(section, {}))
@@ -174,7 +183,8 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
     """A scene from TOML text."""
     sections, where = check_sections(text, name, SECTIONS, "light")
     maps = sections.get("maps", {})
-    if "file" in maps and (grown := [key for key in maps if key not in ("file", "seed")]):
+    of_files = "file", "seed", "residual"
+    if "file" in maps and (grown := [key for key in maps if key not in of_files]):
         said = f"maps.{grown[0]} is for grown maps, and maps.file gives all of them"
         to_do = "give one or the other (seed still draws the veins)"
         raise ValueError(f"{where('maps', grown[0])}: {said}; {to_do}")
@@ -213,7 +223,7 @@ SECTIONS: dict[str, dict[str, EntryCheck]] = {
         # Behind the iris of a picture is nothing: its epithelium is black.
         **{name: limits for name, limits in LIMITS.items() if name != "ipe_melanin"},
     },
-    "maps": {"seed": range(2**32), "file": str, "uniform": bool, **FEATURES},
+    "maps": {"seed": range(2**32), "file": str, "residual": bool, "uniform": bool, **FEATURES},
     "eye": {
         "cornea": ("two-surfaces", "f09", "none"),
         "sclera": bool,
@@ -224,6 +234,7 @@ SECTIONS: dict[str, dict[str, EntryCheck]] = {
         "azimuth_deg": Range(-360, 360),
         "distance": CAMERA_LIMITS["distance"],
         "width": CAMERA_LIMITS["width"],
+        "images": CAMERA_LIMITS["images"],
         "size": listed("[width, height]", range(1, LARGEST + 1)),
     },
     "light": {

@@ -1,6 +1,8 @@
 """Public names of `irisjax.photo`; each loads from its module when it is first used."""
 
 from .clone import CloneSettings as CloneSettings
+from .clone import Coloured as Coloured
+from .clone import Doubt as Doubt
 from .clone import Fitted as Fitted
 from .clone import Flat as Flat
 from .clone import Given as Given
@@ -12,7 +14,9 @@ from .clone import Sampled as Sampled
 from .clone import Shaped as Shaped
 from .clone import clone_eye as clone_eye
 from .clone import clone_to_pigments as clone_to_pigments
+from .clone import colour_texels as colour_texels
 from .clone import compare_with_photograph as compare_with_photograph
+from .clone import doubts_of as doubts_of
 from .clone import fit_clone as fit_clone
 from .clone import flatten_iris as flatten_iris
 from .clone import light_eye as light_eye
@@ -27,3 +31,4 @@ from .photograph import Photograph as Photograph
 from .pigments import Estimate as Estimate
 from .pigments import PigmentPosterior as PigmentPosterior
 from .pose import Pose as Pose
+from .texels import OwnPigments as OwnPigments

@@ -1,7 +1,8 @@
 """An iris cloned from a photograph, stage by stage  [F09 Figs. 4, 5].
 
-`Outlined → Posed → Flat → Shaped → Lit → Fitted → Sampled`: each stage has the fields of the one
-before and is made from it by one function. What a stage would find can be given by the user.
+`Outlined → Posed → Flat → Shaped → Lit → Fitted → Coloured → Sampled`: each stage has the fields of
+the one before and is made from it by one function. What a stage would find can be given by the
+user.
 """
 
 import dataclasses
@@ -20,13 +21,21 @@ from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_known
-from irisjax.photo import pigments
-from irisjax.photo.light import Lighting, find_lighting, light_at, light_tangent, shade_on
+from irisjax.photo import pigments, texels
+from irisjax.photo.light import (
+    Lighting,
+    find_lighting,
+    find_veil,
+    light_at,
+    light_tangent,
+    shade_on,
+)
 from irisjax.photo.masks import find_mirrored_face, part_of, place_of_part
 from irisjax.photo.outlines import MIN_CONFIDENCE, Boundaries, find_boundaries
 from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
 from irisjax.photo.pose import Pose, find_pose
 from irisjax.photo.register import SecondPhotograph, lay_on_first
+from irisjax.photo.texels import OwnPigments
 from irisjax.photo.texture import (
     Refraction,
     Unrefracted,
@@ -38,8 +47,9 @@ from irisjax.photo.thickness import BETA, SIGMA, Morphology, generic_thickness, 
 from irisjax.photo.windows import Windows, average_maps, choose_pixels, iris_alone, windows_of
 from irisjax.render.environment import LUMINANCE, Environment
 from irisjax.render.illumination import Illumination
+from irisjax.render.integrators import finer
 from irisjax.render.lights import Lights
-from irisjax.render.picture import illuminate, respond, shade, texture
+from irisjax.render.picture import illuminate, respond, shade, surroundings, texture
 from irisjax.render.project import View, look, onto_picture
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
@@ -48,7 +58,7 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.ilit.exact import IlitExact
 
-STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "posterior")
+STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "texels", "posterior")
 """Names of the stages in their order; `"pigments"` stands for `Lit` and `Fitted`."""
 MEDIA = ("cornea-aqueous", "f09")
 METHODS = ("least-squares", "simplex")
@@ -57,6 +67,9 @@ FIBRILS = 57.0  # radius during the search, nm; the strength of their scattering
 _BLUR_WIDTHS = Range(0.05, 2.0, "mm")  # widths of the deconvolution that are compared
 _BLUR_STEPS, _BLUR_TOLERANCE = 7, 0.1  # number of first trials; tolerance of the logarithm
 
+DOUBTS = ("outlines", "light", "model")
+"""What a doubt may be about: where the eye is, how it is lit, what the model makes of its iris."""
+_OUTSIDE_SHARE = 0.05  # of an iris with colours that the model cannot make, above which it is said
 _DISTANCES = Range(80, 2000, "mm")  # of cameras that photograph an iris, macro to long lenses
 _PICTURES_OFF = 0.05  # RMS difference of the encoded pictures above which a clone is doubtful [F09]
 _STRETCHED = 0.3  # probability that a file is, above which that is said
@@ -151,6 +164,7 @@ class Posed(Outlined):
         view: What the camera sees of the eye.
         part: Linear pixels of the camera's picture.
         clear: Pixels of `part` that show the iris and nothing in front of it.
+        pupil: Outline of the pupil as it appears, in pixels of `part`.
         lids: Whether lids hide some of the iris.
         second: The second photograph on the pixels of `part`.
     """
@@ -159,6 +173,7 @@ class Posed(Outlined):
     view: View
     part: Colours
     clear: Mask
+    pupil: Ellipse
     lids: bool
     second: SecondPhotograph | None
 
@@ -180,10 +195,29 @@ class Shaped(Flat):
 
 @dataclass(frozen=True)
 class Lit(Shaped):
-    """Stage 5: the light of the photograph, and its `tables` on the iris."""
+    """Stage 5: the light of the photograph, and its `tables` on the iris.
+
+    Attributes:
+        veil: Radiance of what the tear film mirrors over the iris, in the photograph's exposure;
+            `None` where the environment is given, whose image is part of the model.
+    """
 
     lighting: Lighting
     tables: Illumination | None
+    veil: Float[np.ndarray, "3"] | None
+
+    def unveiled(self) -> Colours:
+        """Return the pixels without what the tear film mirrors of the room."""
+        if self.veil is None:
+            return self.part
+        return np.maximum(self.part - self.veil * self.film(), 0).astype(np.float32)
+
+    def film(self) -> Float[np.ndarray, "rows columns 1"]:
+        """Return the reflectance of the tear film at each pixel."""
+        seen = self.view.mirror
+        if seen is None:
+            return np.zeros((*self.clear.shape, 1), np.float32)
+        return onto_picture(seen, np.asarray(seen.reflectance)[:, None], self.clear.shape)
 
 
 @dataclass(frozen=True)
@@ -216,39 +250,90 @@ class Fitted(Lit):
         """Return the eye as it was photographed: the same camera, light and pigments."""
         light, room = self.lighting, self.fit.values["room"]
         around = Environment.uniform(room) if light.room else light.environment
+        camera = self.pose.camera
+        if self.veil is not None:  # of a room as bright as the model's the camera sees a share
+            images = self.mirrored() / max(self._bright(), 1e-9)
+            camera = dataclasses.replace(camera, images=jnp.asarray(images))
         return Scene(
             self.iris(),
-            self.morphology.maps,
+            self.maps(),
             eye=self.pose.eye,
             lights=light.lamps,
             environment=around,
-            camera=self.pose.camera,
+            camera=camera,
             integrator=self.integrator,
         )
 
+    def maps(self) -> IrisMaps:
+        """Return the maps of the iris."""
+        return self.morphology.maps
+
+    def mirrored(self) -> float:
+        """Return the radiance of the room that the tear film mirrors in the scene's picture."""
+        if self.veil is None:
+            return 0.0
+        return min(float((self.veil / self.exposure).mean()), self._bright())
+
+    def _bright(self) -> float:
+        light = self.lighting
+        assert light.room or light.environment is not None
+        around = light.environment
+        return self.fit.values["room"] if around is None else float(around.radiance.mean())
+
 
 @dataclass(frozen=True)
-class Sampled(Fitted):
-    """Stage 7: the posterior of the pigments."""
+class Coloured(Fitted):
+    """Stage 7: the iris with pigments and thickness of every texel; `texels` is `None` where the
+    thickness was given, is by Eq. 7 or that of a second photograph.
+    """
+
+    texels: OwnPigments | None
+
+    def iris(self) -> Iris:
+        """Return the iris that the maps are relative to."""
+        return super().iris() if self.texels is None else self.texels.iris
+
+    def maps(self) -> IrisMaps:
+        """Return the maps of the iris."""
+        return super().maps() if self.texels is None else self.texels.maps
+
+
+@dataclass(frozen=True)
+class Sampled(Coloured):
+    """Stage 8: the posterior of the pigments of the whole iris."""
 
     posterior: pigments.PigmentPosterior
+
+
+class Doubt(NamedTuple):
+    """What is doubtful about a clone: one of `DOUBTS`, and a sentence."""
+
+    kind: str
+    sentence: str
 
 
 class PictureDifference(NamedTuple):
     """Photograph and rendering through one camera.
 
     Attributes:
-        photograph: sRGB-encoded, its exposure, white balance and contrast removed and the fitted
-            exposure applied.
-        rendered: sRGB-encoded picture of the clone.
+        photograph: sRGB-encoded, as it was taken.
+        rendered: sRGB-encoded picture of the clone, with the exposure, white balance and contrast
+            of the photograph.
+        pigments: The same without the map of what the model cannot say.
         clear: Pixels that are compared: those of the iris that nothing hides.
         rms: Root mean square of the differences per channel, of the full range.
+        rms_of_pigments: The same of `pigments`.
+        balanced: The photograph as the scene's picture shows it: sRGB-encoded, its white balance
+            and contrast removed.
     """
 
     photograph: Colours
     rendered: Colours
+    pigments: Colours
     clear: Mask
     rms: Float[np.ndarray, "3"]
+    rms_of_pigments: Float[np.ndarray, "3"]
+    balanced: Colours
 
     def arc(self, clone: Flat, radius: float, count: int = 720) -> tuple[_Arc, _Arc, _Arc]:
         """Return the angles (degrees) of `count` places on a circle of the clone's iris, `radius`
@@ -300,6 +385,7 @@ def clone_eye(
         "texture": lambda found: flatten_iris(found, given),
         "thickness": lambda found: shape_iris(found, settings, given),
         "pigments": lambda found: fit_clone(light_eye(found, given, tables), settings, given),
+        "texels": lambda found: colour_texels(found, settings, given),
         "posterior": lambda found: sample_clone(found, settings, key=cast(PRNGKey, key)),
     }
     found = photograph
@@ -355,6 +441,7 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
     if given.second is not None:
         second = lay_on_first(given.second, photograph, boundaries.limbus, boundaries.pupil, cut)
     known: dict[str, Any] = {"pose": pose, "view": view, "part": pixels, "clear": clear}
+    known["pupil"] = pupil.moved(-x, -y)
     return Posed(**vars(outlined), **known, lids=bool(lids.any()), second=second)
 
 
@@ -399,7 +486,10 @@ def light_eye(
     # Tables depend on the lowest light, and a room shines from all round.
     around = Environment.uniform() if light.room else light.environment
     scene = Scene(Iris(), eye=pose.eye, lights=light.lamps, environment=around)
-    return Lit(**vars(shaped), lighting=light, tables=tables(scene))
+    veil = None
+    if light.room or given.environment is None or given.environment.is_uniform():
+        veil = find_veil(shaped.part, shaped.clear, shaped.pupil, shaped.view)
+    return Lit(**vars(shaped), lighting=light, tables=tables(scene), veil=veil)
 
 
 def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitted:
@@ -409,7 +499,10 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     eye, light, shape = lit.pose.eye, lit.lighting, lit.morphology
     clear = lit.clear & iris_alone(lit.pose)
     clear[lit.refraction.pixels(shape.freckles, clear.shape)] = False
-    chosen = choose_pixels(lit.part, clear, lit.view, eye, light.environment, _light_on_part(lit))
+    # The veil of a room beside lamps tells how bright it is; of one that is assumed it is no model.
+    alone = light.lamps is None and lit.veil is not None
+    pixels, around = (lit.unveiled(), None) if alone else (lit.part, light.environment)
+    chosen = choose_pixels(pixels, clear, lit.view, eye, around, _light_on_part(lit))
     maps = average_maps(eye) if given.maps is None else given.maps
     depth = jnp.mean(jnp.asarray(maps.stroma_depth))
     base = Iris(fibril_radius=jnp.asarray(FIBRILS), stroma_thickness=depth)
@@ -445,7 +538,37 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     return deconvolved(width_by_rendering(deconvolved))
 
 
-def sample_clone(fitted: Fitted, settings: CloneSettings, *, key: PRNGKey) -> Sampled:
+def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHING) -> Coloured:
+    """Solve every texel for its own pigments and thickness; where the thickness is given, is by
+    Eq. 7 or that of a second photograph, the iris keeps one pair of melanins.
+    """
+    if given.maps is not None or given.second is not None or settings.beta is not None:
+        return Coloured(**vars(fitted), texels=None)
+    finest: Any = finer(fitted.integrator)
+    fitted = dataclasses.replace(fitted, integrator=finest)
+    scene, shape, eye = fitted.scene(), fitted.clear.shape, fitted.pose.eye
+    seen = fitted.view.iris
+    assert seen is not None
+    x, y = map(np.asarray, seen.point[:2])
+    radius = onto_picture(seen, np.hypot(x, y), shape)
+    clear = fitted.clear & iris_alone(fitted.pose)
+    clear &= radius > float(eye.pupil_radius + eye.pupil_margin)
+    target = fitted.unveiled() / fitted.exposure
+    if fitted.veil is None:
+        dark = scene.replace(iris=fitted.base, maps=None)
+        around = np.asarray(surroundings(fitted.view, texture(fitted.view, dark), dark))
+        target = target - around.T.reshape(*shape, 3)
+    target = np.maximum(target, 0) ** (1 / fitted.fit.values["contrast"])
+    usual = np.log(generic_thickness(radius) / float(fitted.base.stroma_thickness))
+    flat = partial(unrefract, pose=fitted.pose, where=fitted.refraction)
+    found = texels.colour_iris(
+        target, clear, usual, scene, fitted.view, fitted.tables, fitted.exposure, flat
+    )
+    exposure = fitted.exposure * found.gain
+    return Coloured(**vars(dataclasses.replace(fitted, exposure=exposure)), texels=found)
+
+
+def sample_clone(fitted: Coloured, settings: CloneSettings, *, key: PRNGKey) -> Sampled:
     """Sample the posterior of the pigments."""
     known = fitted.windows, fitted.base, fitted.fit
     posterior = pigments.sample_pigments(*known, max_steps=settings.steps, key=key)
@@ -455,16 +578,20 @@ def sample_clone(fitted: Fitted, settings: CloneSettings, *, key: PRNGKey) -> Sa
 def compare_with_photograph(clone: Fitted) -> PictureDifference:
     """Render a clone with its photograph's camera and compare the two."""
     scene, view, exposure = clone.scene(), clone.view, clone.exposure
-    texels = texture(view, scene)
-    light = illuminate(view, texels, scene, clone.tables)
-    rendered = exposure[1] * np.asarray(shade(view, texels, light, respond(scene)))
-    # The model's camera records exposure × radiance^contrast.
-    radiance = np.maximum(clone.part / exposure, 0)
-    photograph = exposure[1] * radiance ** (1 / clone.fit.values["contrast"])
-    both = [np.clip(np.asarray(srgb_encode(p)), 0, 1) for p in (photograph, rendered)]
+    contrast, found = clone.fit.values["contrast"], texture(view, scene)
+    light, response = illuminate(view, found, scene, clone.tables), respond(scene)
+    bare = dataclasses.replace(found, residual=None)
+    shown = [np.asarray(shade(view, parts, light, response)) for parts in (found, bare)]
+    veil = 0 if clone.veil is None else clone.veil * clone.film()
+    room = clone.mirrored() * clone.film()  # in the scene's picture, of all channels alike
+    # The camera records exposure × radiance^contrast, and the veil.
+    taken = [exposure * np.maximum(p - room, 0) ** contrast + veil for p in shown]
+    balanced = (clone.unveiled() / exposure) ** (1 / contrast) + room
+    linear = clone.part, *taken, exposure[1] * balanced
+    photograph, rendered, alone, even = (np.clip(np.asarray(srgb_encode(p)), 0, 1) for p in linear)
     clear = clone.clear & iris_alone(clone.pose)
-    off = (both[0] - both[1])[clear]
-    return PictureDifference(both[0], both[1], clear, np.sqrt((off**2).mean(0)))
+    rms, of_pigments = (np.sqrt(((photograph - p)[clear] ** 2).mean(0)) for p in (rendered, alone))
+    return PictureDifference(photograph, rendered, alone, clear, rms, of_pigments, even)
 
 
 def doubtful_outlines(found: Outlined) -> dict[str, float]:
@@ -474,50 +601,66 @@ def doubtful_outlines(found: Outlined) -> dict[str, float]:
     return {name: confidence for name, confidence in both if confidence < MIN_CONFIDENCE}
 
 
-def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tuple[str, ...]:
-    """Return a sentence for each doubt about the last stage that was reached; `rms` has the
-    differences of its picture from the photograph by channel, of the full range.
+def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tuple[Doubt, ...]:
+    """Return what is doubtful about the last stage that was reached; `rms` has the differences by
+    channel, of the full range, of the picture that the pigments make of the photograph.
     """
     doubts = [
-        f"the {name} is doubtful (confidence {confidence:.2f}); give --{name}"
+        Doubt("outlines", f"the {name} is doubtful (confidence {confidence:.2f}); give --{name}")
         for name, confidence in doubtful_outlines(found).items()
     ]
     if doubts:
-        doubts.append("nothing after the outlines was done")
+        doubts.append(Doubt("outlines", "nothing after the outlines was done"))
     distance = found.pose.distance if isinstance(found, Posed) else None
     if distance is not None and not _DISTANCES.holds(distance):
-        doubts.append(
+        said = (
             f"the focal length puts the camera {distance:.0f} mm away, where {_DISTANCES} are "
             "usual: it may be wrong; give --focal-px in pixels of this file"
         )
+        doubts.append(Doubt("outlines", said))
     if isinstance(found, Posed) and found.pose.stretched > _STRETCHED:
         wide, high = (e.semi_axes for e in found.boundaries[:2])
-        doubts.append(
+        said = (
             f"limbus and pupil are both flat, by {100 * (wide[0] / wide[1] - 1):.0f} and "
             f"{100 * (high[0] / high[1] - 1):.0f} %: the file may be stretched rather than the eye "
             "tilted; resize it to its true proportions"
         )
+        doubts.append(Doubt("outlines", said))
+    model: list[str] = []
     if isinstance(found, Fitted):
         if found.photograph.grey:
-            doubts.append("the photograph has no colours: the pigments are meaningless")
-        doubts += (odd := pigments.misfits(found.fit, found.windows))
+            model.append("the photograph has no colours: the pigments are meaningless")
+        model += (odd := pigments.misfits(found.fit, found.windows))
         if odd and found.response is not None:
-            doubts.append(
+            model.append(
                 f"the thickness is that of a usual iris, whose response is {found.response:.2f}"
             )
         elif found.response is not None and found.response < _LEAST_RESPONSE:
-            doubts.append(
+            model.append(
                 f"thickness hardly shows in this iris (1 % of it changes the light by "
                 f"{max(found.response, 0):.2f} %): the map is little more than an average iris's"
             )
+    own = found.texels if isinstance(found, Coloured) else None
+    if own is not None and own.gain != 1:
+        said = (
+            f"the iris's colours need {own.gain:g} times the exposure that its brightness tells: "
+            "its pigments and the strength of its scattering mean little; give --light or "
+            "--environment"
+        )
+        doubts.append(Doubt("light", said))
+    if own is not None and own.outside > _OUTSIDE_SHARE:
+        model.append(
+            f"{100 * own.outside:.0f} % of the iris has colours that the model cannot make: a "
+            "reflection, a lens, saturated colours; the map residual keeps them"
+        )
     if rms is not None and rms.max() > _PICTURES_OFF:
-        doubts.append(
-            f"the clone's picture differs from the photograph by {per_cent(rms)} % RMS (R, G, B): "
-            "a reflection, a shadow or an iris that the model does not have"
+        model.append(
+            f"the picture that the pigments make differs from the photograph by {per_cent(rms)} % "
+            "RMS (R, G, B): a reflection, a shadow or an iris that the model does not have"
         )
     if isinstance(found, Sampled) and not found.posterior.chains.converged:
-        doubts.append(f"{found.posterior.chains.reason}; raise --max-steps")
-    return tuple(doubts)
+        model.append(f"{found.posterior.chains.reason}; raise --max-steps")
+    return (*doubts, *(Doubt("model", said) for said in model))
 
 
 def per_cent(shares: Float[np.ndarray, " channels"]) -> str:

@@ -3,10 +3,11 @@
 from typing import Any, NamedTuple, cast
 
 import numpy as np
+from jaxtyping import Float
 from skimage import measure
 
 from irisjax.anatomy.eye import Eye
-from irisjax.photo.photograph import Colours, Mask
+from irisjax.photo.photograph import Colours, Ellipse, Mask
 from irisjax.photo.pose import Pose
 from irisjax.photo.texture import Unrefracted, sampled
 from irisjax.render.environment import Environment
@@ -19,6 +20,7 @@ from irisjax.render.shading import fluxes_of
 _LEAST = 5  # pixels of a highlight
 _MOST = 6  # lamps
 _GATHERED = 1.131**2  # gain of light from all round by the cornea: the pupil's magnification²
+_INSIDE = 0.8  # relative radius of the pupil within which nothing of its edge is seen
 SHADED = 0.7  # light below which a place of the iris counts as shade, relative to the usual light
 
 
@@ -78,6 +80,27 @@ def find_lighting(part: Colours, pose: Pose, view: View) -> Lighting:
     numbers: list[Any] = [polar, azimuth, np.pi * area / area.sum()]
     lamps = Lights.distant(*numbers, radius=cast(Any, radius))
     return Lighting(lamps, room=True, found=len(found))
+
+
+def find_veil(
+    pixels: Colours, clear: Mask, pupil: Ellipse, view: View
+) -> Float[np.ndarray, "3"] | None:
+    """Return the radiance of the surroundings, in the photograph's exposure, that the tear film
+    mirrors over pupil and iris; `None` where it cannot be told.
+
+    The pupil is black: its darker quarter shows the veil alone, and the darkest of the iris bounds
+    it. It is less than what an iris lit from all round would have where the room is dark before the
+    eye, and where a polariser or the tone curve has taken it off.
+    """
+    film, inside = view.mirror, pupil.radii(clear.shape) < _INSIDE
+    if film is None or not inside.any():
+        return None
+    reflectance = onto_picture(film, np.asarray(film.reflectance), clear.shape)[..., None]
+    mirrored = pixels / np.maximum(reflectance, 1e-6)
+    found = np.quantile(mirrored[inside], 0.25, axis=0)
+    if clear.any():
+        found = np.minimum(found, 0.9 * np.quantile(mirrored[clear], 0.02, axis=0))
+    return np.maximum(found, 0)
 
 
 def light_tangent(lights: Lights, eye: Eye, tables: Illumination | None) -> tuple[float, float]:

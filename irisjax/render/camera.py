@@ -18,6 +18,7 @@ CAMERA_LIMITS = {
     "distance": Range(30, 1e5, "mm"),
     "width": Range(0.1, 100, "mm"),
     "polar": Range(0, 3.15),
+    "images": Range(0, 1),
 }
 """Allowed range of each number of a camera."""
 LARGEST = 16384
@@ -37,6 +38,7 @@ class Camera(eqx.Module):
         size: Width and height, pixels.
         first: First row that it takes, see `taking`.
         rows: Number of rows that it takes; `None` for all.
+        images: Share of the images in the tear film that it receives: 0 through crossed polarisers.
 
     Raises:
         ValueError: A number is out of range.
@@ -49,6 +51,7 @@ class Camera(eqx.Module):
     size: tuple[int, int] = eqx.field(static=True, default=(800, 600))
     first: Int[Array, ""] | None = None
     rows: int | None = eqx.field(static=True, default=None)
+    images: Scalar = float_field(1.0)
 
     def __check_init__(self) -> None:
         whole = self.rows is None  # the parts of a picture may be finer

@@ -53,6 +53,10 @@ class Environment(eqx.Module):
                     f"radiance is negative or not finite in {int(bad.any(-1).sum())} texels"
                 )
 
+    def is_uniform(self) -> bool:
+        """Whether all texels are alike."""
+        return float(np.ptp(np.asarray(self.radiance))) == 0
+
     @classmethod
     def studio(cls, rows: int = 128) -> "Environment":
         """An invented portrait studio: grey room, key softbox up on the left, dim fill on the

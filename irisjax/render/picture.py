@@ -23,7 +23,8 @@ from irisjax.render.integrator import AbstractResponse, checked_response
 from irisjax.render.outside import ColourTable, colour_table
 from irisjax.render.project import View, look, project
 from irisjax.render.scene import Scene
-from irisjax.render.shading import Front, ranges_of
+from irisjax.render.shading import Front, ranges_of, textures_at
+from irisjax.tissue.maps import Scales
 
 # Bytes for the pixels of a band; the programs and tables beside them take three times that.
 _MEMORY = 1 << 28
@@ -38,11 +39,13 @@ class Texels(eqx.Module):
         iris: What the integrator needs, see `AbstractIntegrator.texels`.
         white: Radiance of the sclera under an irradiance of one, (channels, pixels).
         room: Radiance of the environment that the tear film mirrors, (channels, pixels).
+        residual: Factors on the radiance of the iris, (channels, pixels).
     """
 
     iris: Any
     white: Float[Array, "channels white_pixels"] | None
     room: Float[Array, "channels mirror_pixels"] | None
+    residual: Float[Array, "channels iris_pixels"] | None = None
 
 
 class LitView(eqx.Module):
@@ -106,7 +109,7 @@ def texture(view: View, scene: Scene) -> Texels:
         white = outside.white_colour(view.sclera, eye, table, scene.veins)
     if view.mirror is not None and scene.environment is not None:
         room = outside.room_at(view.mirror, scene.environment)
-    return Texels(iris_texels(view, scene), white, room)
+    return Texels(iris_texels(view, scene), white, room, _residual(view, scene))
 
 
 def iris_texels(view: View, scene: Scene) -> Any:
@@ -146,18 +149,24 @@ def surroundings(view: View, texels: Texels, scene: Scene) -> Float[Array, "chan
         parts += [(view.sclera.index, outside.white((view.sclera, texels.white), all_round))]
     if view.mirror is not None:
         images = outside.mirrored((view.mirror, texels.room), scene.lights, lamp)
-        parts += [(view.mirror.index, images)]
+        parts += [(view.mirror.index, scene.camera.images * images)]
     dark = jnp.zeros((lamp.size, view.size[0] * view.size[1]), lamp.dtype)
     return _added(dark, parts)
 
 
-def respond(scene: Scene) -> AbstractResponse:
+def respond(scene: Scene, ranges: Scales | None = None) -> AbstractResponse:
     """Compute how the iris of a scene sends light back, in the channels of the picture.
+
+    Args:
+        scene: The scene.
+        ranges: Ranges of the texels, in place of those of its maps.
 
     Raises:
         ValueError: The integrator's solver does not hold the layers of a texel.
     """
-    return checked_response(prepared_scene(scene).integrator, *_asked(scene))
+    iris, index, bands, of_maps = _asked(scene)
+    asked = iris, index, bands, of_maps if ranges is None else ranges
+    return checked_response(scene.integrator.prepare(*asked), *asked)
 
 
 def prepared_scene(scene: Scene) -> Scene:
@@ -171,7 +180,9 @@ def shade(
     """Make the picture from the results of the other functions."""
     iris = []
     if view.iris is not None:
-        iris = [(view.iris.index, response.shade(view.iris, texels.iris, light.iris))]
+        radiance = response.shade(view.iris, texels.iris, light.iris)
+        radiance = radiance if texels.residual is None else radiance * texels.residual
+        iris = [(view.iris.index, radiance)]
     return _added(light.surroundings, iris, view.size)
 
 
@@ -212,10 +223,17 @@ def draw_bands(
         yield Band(picture[start - first :], error)
 
 
-def _asked(scene: Scene) -> tuple[Any, Any, Bands, Any]:
+def _asked(scene: Scene) -> tuple[Any, Any, Bands, Scales]:
     """Iris, index before it, channels and ranges of maps: what a response depends on."""
     bands = _bands(scene.eye.cornea, _spectrum(scene))
     return scene.iris, scene.eye.aqueous_index, bands, ranges_of(scene.iris, scene.maps)
+
+
+def _residual(view: View, scene: Scene) -> Float[Array, "channels pixels"] | None:
+    if view.iris is None or scene.maps is None or scene.maps.residual is None:
+        return None
+    channels = tuple(jnp.moveaxis(scene.maps.residual, -1, 0))
+    return jnp.stack(textures_at(view.iris, scene.eye, channels))
 
 
 def _spectrum(scene: Scene) -> _Spectrum:

@@ -131,16 +131,16 @@ def polynomials(x: Float[Array, " pixels"], count: int) -> Float[Array, "count p
 
 # The response changes fast where a layer is thin: equal steps in the logarithm of one plus a few
 # times the scale.
-_BEND = 3.0
+BEND = 3.0
 
 
 def from_unit(span: Float[Array, "2"], x: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Scale within `span` at x in [−1, 1]."""
-    low, high = (jnp.log1p(_BEND * s) for s in span)
-    return jnp.expm1(low + (x + 1) * ((high - low) / 2)) / _BEND
+    low, high = (jnp.log1p(BEND * s) for s in span)
+    return jnp.expm1(low + (x + 1) * ((high - low) / 2)) / BEND
 
 
 def to_unit(span: Float[Array, "2"], scale: Float[Array, "*s"]) -> Float[Array, "*s"]:
     """Place of a scale in [−1, 1], of those outside `span` its ends."""
-    low, high = (jnp.log1p(_BEND * s) for s in span)
-    return jnp.clip((jnp.log1p(_BEND * scale) - low) * (2 / (high - low)) - 1, -1, 1)
+    low, high = (jnp.log1p(BEND * s) for s in span)
+    return jnp.clip((jnp.log1p(BEND * scale) - low) * (2 / (high - low)) - 1, -1, 1)

@@ -78,6 +78,12 @@ class Scene(eqx.Module):
         if lights is not None and lights.illuminant != self.illuminant:
             raise ValueError(f"the lights are {lights.illuminant}, the scene is {self.illuminant}")
         coloured = self.environment is not None or (lights is not None and lights.tint is not None)
+        kept = None if self.maps is None else self.maps.residual
+        if self.wavelengths is not None and kept is not None:
+            raise ValueError(
+                "spectral pictures need maps without a residual, which has colours and no spectrum "
+                "(--no-residual)"
+            )
         if self.wavelengths is not None and coloured:
             raise ValueError(
                 "spectral pictures need plain lamps: environments and tints have colours, not "

@@ -123,6 +123,11 @@ def scales_at(pixels: IrisPixels, eye: Eye, textures: Scales) -> Scales:
     """How the texels that pixels see differ from the uniform iris."""
     if not jax.tree.leaves(textures):
         return textures
+    return textures_at(pixels, eye, textures)
+
+
+def textures_at(pixels: IrisPixels, eye: Eye, textures: Any) -> Any:
+    """Textures (angles, radii) where pixels see them."""
     place = _place_of(pixels, eye)
     return jax.tree.map(lambda texture: polar_bilinear(texture, *place), textures)
 

@@ -11,6 +11,8 @@ its way in is weakened by the column in which it is scattered alone, and relief 
 leaves the irradiance.
 """
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -60,7 +62,8 @@ class SingleScattering(AbstractIntegrator):
         """What all pixels share. The relief tilts the surface towards the light; its parallax is
         left out.
         """
-        maps = {} if front.maps is None else front.maps.replace(relief=None).present()
+        elsewhere: Any = {"relief": None, "residual": None}
+        maps = {} if front.maps is None else front.maps.replace(**elsewhere).present()
         flux = fluxes_of(lights, front.eye, tables)
         return SceneData(maps, flux, lights.tint, front.slopes(), front.eye)
 

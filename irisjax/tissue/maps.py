@@ -25,6 +25,7 @@ FRECKLE = 12.0
 hand-set maps.
 """
 _RANGES = {"relief": (-1, 1), "freckles": (0, 1)}  # of the other maps: not negative
+_CHANNELS = 3  # of a residual: linear sRGB
 
 
 class IrisMaps(eqx.Module):
@@ -40,6 +41,8 @@ class IrisMaps(eqx.Module):
         freckles: Share of a freckle, 0 to 1; at 1 the ABL contains `FRECKLE` times its melanin.
         eumelanin: Concentration relative to the `Iris`'s, in both layers.
         pheomelanin: Concentration relative to the `Iris`'s, in both layers.
+        residual: What a photograph shows over what the model does, in linear sRGB, of shape
+            (angles, radii, 3). Pictures of colours are multiplied by it.
 
     Raises:
         ValueError: For maps of different shapes and for values that no iris can have.
@@ -51,9 +54,10 @@ class IrisMaps(eqx.Module):
     freckles: Texture | None = optional_field()
     eumelanin: Texture | None = optional_field()
     pheomelanin: Texture | None = optional_field()
+    residual: Float[Array, "angles radii 3"] | None = optional_field()
 
     def __post_init__(self) -> None:
-        shapes = {n: np.shape(m) for n, m in self.present().items()}
+        shapes = {n: np.shape(m)[:2] for n, m in self.present().items()}
         if len(set(shapes.values())) > 1:
             raise ValueError(
                 f"maps differ in shape: {', '.join(f'{n} {s}' for n, s in shapes.items())}"
@@ -62,10 +66,10 @@ class IrisMaps(eqx.Module):
             if isinstance(found, Tracer):
                 continue
             m = np.asarray(found)
-            if m.ndim != 2 or min(m.shape) < 2:
-                raise ValueError(
-                    f"map {name} has shape {m.shape}; need (angles, radii), at least 2 of each"
-                )
+            colours = (_CHANNELS,) if name == "residual" else ()
+            if m.ndim < 2 or m.shape[2:] != colours or min(m.shape) < 2:
+                need = "(angles, radii, 3)" if colours else "(angles, radii)"
+                raise ValueError(f"map {name} has shape {m.shape}; need {need}, at least 2 of each")
             low, high = _RANGES.get(name, (0, np.inf))
             if not (m.min() >= low and m.max() <= high and m.max() < np.inf):  # false for NaN too
                 raise ValueError(f"map {name} has values outside [{low:g}, {high:g}] or not finite")
@@ -78,7 +82,7 @@ class IrisMaps(eqx.Module):
     def shape(self) -> tuple[int, int]:
         """Shape (angles, radii), or (2, 2) without any map."""
         present = self.present()
-        return next(iter(present.values())).shape if present else (2, 2)
+        return next(iter(present.values())).shape[:2] if present else (2, 2)
 
     def replace(self, **fields: object) -> "IrisMaps":
         """Return a copy with some maps changed."""

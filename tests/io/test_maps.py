@@ -30,6 +30,14 @@ def test_round_trip_to_the_last_bit(tmp_path, bits, names):
         np.testing.assert_array_equal(np.asarray(back[name]), values)
 
 
+def test_a_residual_is_three_channels(tmp_path):
+    residual = np.random.default_rng(4).random((*SHAPE, 3), np.float32)
+    io.write_maps(tmp_path / "maps.exr", IrisMaps(**drawn("relief"), residual=residual))
+    back = io.read_maps(tmp_path / "maps.exr")
+    np.testing.assert_array_equal(np.asarray(back.residual), residual)
+    np.testing.assert_array_equal(np.asarray(back.relief), drawn("relief")["relief"])
+
+
 @pytest.mark.parametrize("letters", ["RGB", "RGBA"])
 def test_packing_of_f09(tmp_path, letters):
     image = np.random.default_rng(5).random((*SHAPE, len(letters)), np.float32)
@@ -57,6 +65,17 @@ def test_scene_takes_its_maps_from_a_file(tmp_path):
     assert scene.maps is not None and set(scene.maps.present()) == {"relief", "freckles"}
     np.testing.assert_array_equal(np.asarray(scene.maps.relief), drawn("relief")["relief"])
     assert float(scene.iris.eumelanin) == pytest.approx(0.015)  # the preset's pigments
+
+
+def test_scene_of_a_clone_has_its_residual_unless_told_not_to(tmp_path):
+    residual = np.full((*SHAPE, 3), 1.5, np.float32)
+    io.write_maps(tmp_path / "m.exr", IrisMaps(**drawn("relief"), residual=residual))
+    (tmp_path / "scene.toml").write_text('[maps]\nfile = "m.exr"\n')
+    file = read_scene(tmp_path / "scene.toml")
+    np.testing.assert_array_equal(np.asarray(file.scene().maps.residual), residual)
+    assert set(file.without_residual().scene().maps.present()) == {"relief"}
+    (tmp_path / "scene.toml").write_text('[maps]\nfile = "m.exr"\nresidual = false\n')
+    assert read_scene(tmp_path / "scene.toml").scene().maps.residual is None
 
 
 MAPS = '[maps]\n\nfile = "m.exr"'

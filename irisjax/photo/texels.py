@@ -1,0 +1,456 @@
+"""Every texel its own pigments: three numbers of each place of an iris, from its colour.
+
+F09 has one pair of melanins a layer for a whole iris. Real irides have rings, sectors and spots of
+other colours. Where the global fit of `photo.pigments` ends, each pixel of the photograph is solved
+for its eumelanin and its pheomelanin, relative to the fitted iris, and for the strength of its
+stroma, which is thickness times scattering. The response that is inverted is the renderer's own,
+with the photograph's own light. What it cannot say stays as a map of its own.
+"""
+
+import functools
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+from scipy import ndimage
+from scipy.stats import qmc
+from skimage.transform import downscale_local_mean, resize
+
+from irisjax.numerics.checks import Range
+from irisjax.numerics.interpolation import chebyshev
+from irisjax.numerics.portions import by_rows, in_portions
+from irisjax.photo.photograph import Brightness, Colours, Mask
+from irisjax.photo.pigments import concentrations_of, iris_of_concentrations
+from irisjax.photo.texture import MAP_SHAPE, Unrefracted, fill_holes
+from irisjax.render import picture
+from irisjax.render import polynomials as products
+from irisjax.render.illumination import Illumination
+from irisjax.render.project import View, onto_picture
+from irisjax.render.scene import Scene
+from irisjax.render.shading import Front
+from irisjax.tissue.iris import Iris
+from irisjax.tissue.maps import IrisMaps, Scales
+
+NAMES = ("stroma", "eumelanin", "pheomelanin")
+"""What is sought at each texel, in the order of `Scales`."""
+FACTORS = Scales(
+    stroma=np.array([0.03, 60.0]),
+    eumelanin=np.array([0.01, 20.0]),
+    pheomelanin=np.array([0.01, 50.0]),
+)
+"""Factors on the fitted iris within which texels are sought at first."""
+KEPT = Range(0.25, 4.0)
+"""Photograph over model: what is kept of it."""
+OUTSIDE = 0.04
+"""Error of an encoded channel above which a colour is none that the model can make."""
+GAINS = (1.0, 2.0, 0.5, 4.0, 8.0)
+"""Factors on the fitted exposure that are tried, the likely ones first."""
+_PRIOR = 1.5  # standard deviation of the logarithms about the fitted iris, at the coarsest level
+_FINER = 0.5  # of those between a level and the next coarser one
+_STEPS = 12, 5, 4, 4  # of Levenberg and Marquardt at each level, from the coarsest
+_NOISE = 0.006  # least standard deviation of an encoded channel: rounding, JPEG, the model
+_POWER, _DARK = 1 / 2.4, 1e-3  # of the encoding in which errors are alike, and its straight part
+_LONGEST, _DAMPING = 1.5, 1e-3  # longest step of a logarithm; damping of the first one
+_ENOUGH = 0.015  # RMS error of the encoded colours at which no other exposure is wanted
+_COLOURS = 9  # logarithm to base 2 of the number of colours at which the search begins
+_ROWS, _ROWS_COARSEST = 1 << 13, 1 << 10  # pixels solved at a time
+_MARGIN = 0.7  # of the logarithms, beyond those found, for the table of all levels
+
+
+class OwnPigments(NamedTuple):
+    """An iris whose texels have their own pigments.
+
+    Attributes:
+        iris: The iris that the maps are relative to: their medians.
+        maps: Thickness of the stroma, eumelanin, pheomelanin and residual.
+        deviations: Standard deviations of the logarithms of `NAMES`, (3, angles, radii): by the
+            photograph's noise and the prior of the neighbourhood, about the iris of the global fit.
+        correlation: Median correlation of the errors of each pair of `NAMES`, (3, 3).
+        hidden: Cells that the photograph does not show, (angles, radii), filled from beside.
+        outside: Share of pixels whose colour is none that the model can make.
+        explained: Share of the variance of the encoded colours that the pigments explain.
+        gain: Factor on the exposure of the global fit.
+        error: Largest error of the table that was inverted, relative to the brightest texel.
+    """
+
+    iris: Iris
+    maps: IrisMaps
+    deviations: Float[np.ndarray, "3 angles radii"]
+    correlation: Float[np.ndarray, "3 3"]
+    hidden: Bool[np.ndarray, "angles radii"]
+    outside: float
+    explained: float
+    gain: float
+    error: float
+
+
+class Seen(NamedTuple):
+    """What the pixels of a picture show, channels and functions last.
+
+    Attributes:
+        target: Radiance of the iris in the photograph.
+        light: The functions of directions and light, (rows, columns, tints × functions).
+        logs: Where the search begins: the prior's centre.
+        known: Pixels that count.
+    """
+
+    target: Colours
+    light: Float[np.ndarray, "rows columns functions"]
+    logs: Float[np.ndarray, "rows columns 3"]
+    known: Mask
+
+
+class TexelResponse(NamedTuple):
+    """The iris's response over ranges of the three numbers.
+
+    Attributes:
+        coefficients: Those of the products of polynomials.
+        ranges: Of the three numbers.
+        degrees: Degrees of the polynomials.
+        error: Largest error, relative to the brightest texel.
+    """
+
+    coefficients: Float[Array, "products functions channels"]
+    ranges: Scales
+    degrees: tuple[int, ...]
+    error: float
+
+    def spans(self) -> Float[Array, "3 2"]:
+        """Smallest and largest value of each number."""
+        return jnp.stack([jnp.asarray(r, jnp.float32) for r in self.ranges if r is not None])
+
+
+class Local(NamedTuple):
+    """Pixels with their own numbers.
+
+    Attributes:
+        logs: Logarithms of the factors `NAMES`; at pixels that do not count filled from beside.
+        covariance: Of the logarithms: by the photograph's noise and the prior; 0 elsewhere.
+        off: Model less photograph, encoded; 0 elsewhere.
+    """
+
+    logs: Float[np.ndarray, "rows columns 3"]
+    covariance: Float[np.ndarray, "rows columns 3 3"]
+    off: Float[np.ndarray, "rows columns 3"]
+
+
+def colour_iris(
+    target: Colours,
+    known: Mask,
+    usual: Brightness,
+    scene: Scene,
+    view: View,
+    tables: Illumination | None,
+    exposure: Float[np.ndarray, "3"],
+    lay_flat: Callable[[Colours, Mask], Unrefracted],
+) -> OwnPigments:
+    """Solve the texels of an iris.
+
+    Args:
+        target: Radiance of the iris in the photograph, under the fitted exposure.
+        known: Pixels that show the iris and nothing else.
+        usual: Logarithm of the stroma's usual thickness there over that of the scene's iris.
+        scene: The scene of the global fit; its maps give the relief alone.
+        view: What its camera sees.
+        tables: Its tables of light.
+        exposure: Exposures of the channels.
+        lay_flat: Undoes the refraction of a picture with a mask.
+    """
+    shape, iris, seen = known.shape, scene.tissue, view.iris
+    integrator: Any = scene.integrator
+    assert seen is not None
+    relief = None if scene.maps is None else scene.maps.relief
+    front = Front(scene.eye, iris, IrisMaps(relief=relief))
+    _, exits = integrator.texels(seen, front, Scales())
+    shone = integrator.illuminate(seen, scene.all_lights(), front, tables)
+    light, mixtures = shone
+    light = light if exits is None else light * exits
+    flat = np.moveaxis(np.asarray(light), -1, 0).reshape(light.shape[-1], -1)
+
+    def respond(ranges: Scales) -> TexelResponse:
+        found: Any = picture.respond(scene, ranges)
+        terms = found.coefficients
+        terms = terms if mixtures is None else jnp.einsum("pkc,kr->prc", terms, mixtures)
+        return TexelResponse(terms, ranges, found.degrees, float(found.error))
+
+    functions = onto_picture(seen, flat, shape)
+    logs = np.stack([usual, 0 * usual, 0 * usual], -1)
+    target, functions, logs = (np.asarray(x, np.float32) for x in (target, functions, logs))
+    levels = [Seen(target, functions, logs, known)]
+    for _ in _STEPS[1:]:
+        levels.append(_halved(levels[-1]))
+    gain, coarse = find_gain(levels[-1], respond(FACTORS), exposure)
+    response = respond(ranges_about(coarse, levels[-1].known))
+    found = solve_levels(levels, response, exposure, gain)
+
+    off, wanted = found.off[known], (np.maximum(target * exposure, 0) + _DARK)[known] ** _POWER
+    explained = 1 - (off**2).sum() / ((wanted - wanted.mean(0)) ** 2).sum()
+    # Cells about as fine as the photograph's pixels, of few sizes, so that programs are shared.
+    laid = lay_flat(found.logs, known)
+    per_mm = scene.camera.size[0] / float(scene.camera.width)
+    sides = 2 * np.pi * laid.iris_radius, laid.iris_radius - laid.pupil_radius
+    angles, radii = (
+        count << int(np.clip(np.ceil(np.log2(side * per_mm / count)), 0, 2))
+        for count, side in zip(MAP_SHAPE, sides, strict=True)
+    )
+    cells = angles, radii
+
+    def polar(values: Float[np.ndarray, "rows columns channels"]) -> np.ndarray:
+        laid = lay_flat(values, known)
+        filled = fill_holes(laid.pixels, ~laid.valid)
+        return np.stack([laid.to_polar(c, cells) for c in np.moveaxis(filled, -1, 0)])
+
+    logs = polar(found.logs)
+    shown = laid.to_polar(laid.valid.astype(np.float32), cells)
+    middle = np.median(found.logs[known], axis=0)
+    iris = _moved(iris, np.exp(middle))
+    stroma, eumelanin, pheomelanin = (jnp.asarray(m) for m in np.exp(logs - middle[:, None, None]))
+    depth = stroma * iris.stroma_thickness
+    maps = IrisMaps(relief=relief, stroma_depth=depth, eumelanin=eumelanin, pheomelanin=pheomelanin)
+    # What the maps themselves leave, after all interpolation.
+    made = scene.replace(iris=iris, maps=maps)
+    texels = picture.texture(view, made)
+    lit = picture.LitView(jnp.zeros((3, known.size)), shone)
+    drawn = np.asarray(picture.shade(view, texels, lit, picture.respond(made)))
+    ratio = np.where(known[..., None], target / gain / np.maximum(drawn, 1e-9), 1.0)
+    residual = polar(np.log(np.clip(ratio, KEPT.low, KEPT.high)))
+    maps = maps.replace(residual=jnp.asarray(np.exp(np.moveaxis(residual, 0, -1))))
+    variances = np.einsum("...ii->...i", found.covariance)
+    sizes = np.sqrt(np.maximum(variances, 1e-12))
+    correlation = found.covariance / (sizes[..., None] * sizes[..., None, :])
+    return OwnPigments(
+        iris,
+        maps,
+        polar(sizes),
+        np.median(correlation[known], axis=0),
+        shown < 0.5,
+        float((np.abs(off).max(-1) > OUTSIDE).mean()),
+        float(explained),
+        gain,
+        response.error,
+    )
+
+
+def _moved(iris: Iris, factors: Float[np.ndarray, "3"]) -> Iris:
+    """The iris with factors `NAMES` on it, its stroma as thick as before: what scatters and absorbs
+    there is denser instead.
+    """
+    stroma, eumelanin, pheomelanin = (float(f) for f in factors)
+    values = concentrations_of(iris)
+    for name in values:
+        values[name] *= eumelanin if name.endswith("eumelanin") and "pheo" not in name else 1
+        values[name] *= pheomelanin if name.endswith("pheomelanin") else 1
+        values[name] *= stroma if name.startswith("stroma") else 1
+    return iris_of_concentrations({**values, "scattering_scale": stroma}, iris)
+
+
+def find_gain(
+    coarsest: Seen, response: TexelResponse, exposure: Float[np.ndarray, "3"]
+) -> tuple[float, Local]:
+    """Find what the fitted exposure is to be multiplied by.
+
+    An iris that is lit more is less bright itself, and its colours may be more saturated. Where the
+    fitted exposure leaves colours outside of what the model can make, the others of `GAINS` are
+    tried.
+
+    Args:
+        coarsest: What the coarsest pixels show.
+        response: The response over `FACTORS`.
+        exposure: Exposures of the channels: errors are alike in the encoded photograph.
+
+    Returns:
+        The factor, and the numbers of the pixels.
+    """
+    tried, errors = {}, {}
+    for gain in GAINS:
+        tried[gain] = _coarsest(coarsest, response, exposure, gain)
+        errors[gain] = np.sqrt((tried[gain].off[coarsest.known] ** 2).mean())
+        if errors[gain] <= _ENOUGH:
+            return gain, tried[gain]
+    gain = next(g for g in GAINS if errors[g] <= 1.1 * min(errors.values()))
+    return gain, tried[gain]
+
+
+def solve_levels(
+    levels: list[Seen], response: TexelResponse, exposure: Float[np.ndarray, "3"], gain: float
+) -> Local:
+    """Solve all levels, the coarsest first, each near the numbers of the coarser one. Edges stay: a
+    photograph outweighs a prior of this width wherever it shows them.
+    """
+    found = _coarsest(levels[-1], response, exposure, gain)
+    for level, steps in zip(reversed(levels[:-1]), _STEPS[1:], strict=True):
+        found = _level(level, found.logs, response, exposure, gain, steps)
+    return found
+
+
+def ranges_about(found: Local, known: Mask) -> Scales:
+    """Return ranges about the numbers of a coarse level, for a table with a smaller error."""
+    low, high = np.quantile(found.logs[known], [0.002, 0.998], axis=0)
+    spans = [np.exp([a - _MARGIN, b + _MARGIN]) for a, b in zip(low, high, strict=True)]
+    return Scales(None, *(np.clip(s, *r) for s, r in zip(spans, FACTORS[1:], strict=True)))
+
+
+def _coarsest(level: Seen, response: TexelResponse, exposure, gain: float) -> Local:
+    """Solve the coarsest level: the way down from the nearest of many colours, for on the way from
+    the fitted iris there may be other minima.
+    """
+    low, high = np.log(np.asarray(response.spans())).T
+    unit = qmc.Sobol(3, scramble=False).random_base2(_COLOURS)
+    tried = jnp.asarray(low + (high - low) * unit, jnp.float32).T
+    return _level(level, level.logs, response, exposure, gain, _STEPS[0], _PRIOR, tried)
+
+
+def _level(
+    level: Seen,
+    near: np.ndarray,
+    response: TexelResponse,
+    exposure: np.ndarray,
+    gain: float,
+    steps: int,
+    spread: float = _FINER,
+    tried: Array | None = None,
+) -> Local:
+    """Solve the pixels of a level about the numbers of another one; the search begins there too, or
+    at the best of those that are `tried`.
+    """
+    known, tints = level.known, level.light.shape[-1] // response.coefficients.shape[1]
+    near = np.asarray(resize(near, (*known.shape, 3), order=1, mode="edge"), np.float32)
+    noise = max(_noise(level.target * exposure, known), _NOISE)
+    exposed = jnp.asarray(exposure * gain, jnp.float32)
+    parts = near[known], (level.target / np.float32(gain))[known], level.light[known]
+    brightest = np.quantile(level.target[known] * exposure, 0.99, axis=0)
+    wrong = jnp.asarray(response.error * brightest, jnp.float32)
+    numbers = exposed, *(jnp.float32(x) for x in (noise, spread)), jnp.asarray(steps), tried, wrong
+    one = functools.partial(_solved, response.degrees, tints)
+    one = functools.partial(one, (response.coefficients, response.spans(), *numbers))
+    with ThreadPoolExecutor(2) as pool:
+        each = _ROWS if tried is None else _ROWS_COARSEST
+        rows = by_rows(one, tuple(np.asarray(p, np.float32) for p in parts), each, pool.map)
+    whole: list[Any] = [np.zeros((*known.shape, *r.shape[1:]), np.float32) for r in rows]
+    for picture_of, values in zip(whole, rows, strict=True):
+        picture_of[known] = values
+    return Local(fill_holes(whole[0], ~known), *whole[1:])
+
+
+@eqx.filter_jit
+def _solved(degrees: tuple[int, ...], tints: int, held, rows):
+    """Logarithms, their covariances and the errors of the channels, of rows of pixels."""
+    coefficients, spans, exposure, noise, spread, steps, tried, wrong = held
+    coefficients = coefficients.astype(spans.dtype)
+    low, high = jnp.log(spans).T[..., None]
+    first, last = jnp.log1p(products.BEND * spans).T[..., None]
+    whole = coefficients.reshape(coefficients.shape[0], -1).T
+    kept = np.array(products.kept_products(degrees)).T
+    prior = 1 / spread**2
+    eye = jnp.eye(3, dtype=spans.dtype)[..., None]
+
+    def encoded(radiance):
+        return (jnp.maximum(radiance * exposure[:, None], 0.0) + _DARK) ** _POWER
+
+    def polynomials(z):
+        """Polynomials of the numbers, and their derivatives by the logarithms."""
+        bent = 1 + products.BEND * jnp.exp(z)
+        place = jnp.clip((jnp.log(bent) - first) * (2 / (last - first)) - 1, -1, 1)
+        moved = (bent - 1) / bent * (2 / (last - first))
+        both = [chebyshev(x, d + 1) for x, d in zip(place, degrees, strict=True)]
+        values, slopes = ([jnp.stack(b[i]) for b in both] for i in (0, 1))
+        return values, [s * m for s, m in zip(slopes, moved, strict=True)]
+
+    def response(terms):
+        """The response without light, (functions, channels, pixels)."""
+        rows = [t[k] for t, k in zip(terms, kept, strict=True)]
+        values = whole @ functools.reduce(jnp.multiply, rows)
+        return values.reshape(*coefficients.shape[1:], -1)
+
+    colours = None if tried is None else response(polynomials(tried)[0])
+
+    def solve(pixels):
+        centre, target, light = pixels
+        wanted, light = encoded(target), light.reshape(tints, -1, light.shape[-1])
+        # The error of the table counts most where the encoding is steep: in the dark.
+        steep = _POWER * wanted ** (1 - 1 / _POWER)
+        weight = 1 / (noise**2 + (steep * wrong[:, None]) ** 2)
+        light = jnp.moveaxis(light, 1, 0)  # functions, tints, pixels
+
+        def around(z):
+            values, slopes = polynomials(z)
+            shown = (response(values) * light).sum(0)
+            pushed = [
+                (response([slopes[i] if j == i else values[j] for j in range(3)]) * light).sum(0)
+                for i in range(3)
+            ]
+            lit = jnp.maximum(shown * exposure[:, None], 0.0) + _DARK
+            rates = jnp.stack(pushed) * (_POWER * lit ** (_POWER - 1) * exposure[:, None])
+            off = encoded(shown) - wanted
+            cost = (weight * off**2).sum(0) + prior * ((z - centre) ** 2).sum(0)
+            slope = -(weight * rates * off).sum(1) - prior * (z - centre)
+            matrix = (weight * rates[:, None] * rates[None]).sum(2) + prior * eye
+            return cost, slope, matrix, off
+
+        def step(_, state):
+            z, (cost, slope, matrix, _), damping = at = state
+            # A logarithm at the end of its range that would leave it is held.
+            at_end = ((z <= low) & (slope < 0)) | ((z >= high) & (slope > 0))
+            free = jnp.where(at_end, 0.0, 1.0)
+            damped = matrix * (1 + damping * eye) * free[:, None] * free + eye * (1 - free)
+            move = (_inverse(damped) * (slope * free)).sum(1)
+            moved = jnp.clip(z + jnp.clip(move, -_LONGEST, _LONGEST), low, high)
+            found = around(moved)
+            better = found[0] < cost
+            kept = jax.tree.map(
+                lambda new, old: jnp.where(better, new, old), (moved, found), at[:2]
+            )
+            return *kept, damping * jnp.where(better, 0.3, 4.0)
+
+        start = centre
+        if tried is not None and colours is not None:
+            seen = encoded((colours[..., None] * light[:, :, None]).sum(0).reshape(3, -1))
+            off = seen.reshape(3, *colours.shape[2:], -1) - wanted[:, None]
+            away = tried[..., None] - centre[:, None]
+            near = (weight[:, None] * off**2).sum(0) + prior * (away**2).sum(0)
+            best = jnp.argmin(near, axis=0)
+            start = tried[:, best]
+        start = jnp.clip(start, low, high)
+        begin = start, around(start), jnp.full_like(start[0], _DAMPING)
+        z, (_, _, matrix, off), _ = jax.lax.fori_loop(0, steps, step, begin)
+        return z, _inverse(matrix), off
+
+    found = in_portions(solve, tuple(jnp.moveaxis(r, 0, -1) for r in rows))
+    return tuple(jnp.moveaxis(f, -1, 0) for f in found)
+
+
+def _inverse(a):
+    """Inverses of symmetric matrices (3, 3, pixels)."""
+
+    def minor(i: int, j: int):
+        p, q, r, s = (i + 1) % 3, (i + 2) % 3, (j + 1) % 3, (j + 2) % 3
+        return a[p, r] * a[q, s] - a[p, s] * a[q, r]
+
+    cofactors = jnp.stack([jnp.stack([minor(i, j) for j in range(3)]) for i in range(3)])
+    return cofactors / (a[0] * cofactors[0]).sum(0)
+
+
+def _halved(level: Seen) -> Seen:
+    """Means over squares of 2 × 2 pixels, of those that count."""
+    known = level.known.astype(np.float32)
+    count = downscale_local_mean(known, (2, 2))
+    share = np.maximum(count, 1e-6)[..., None]
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        whole = downscale_local_mean(values * known[..., None], (2, 2, 1)) / share
+        return whole.astype(np.float32)
+
+    return Seen(mean(level.target), mean(level.light), mean(level.logs), count > 0.2)
+
+
+def _noise(values: Colours, known: Mask) -> float:
+    """Standard deviation of an encoded channel's noise, by the median  [Immerkær 1996]."""
+    encoded = np.maximum(values, 0) ** _POWER
+    second = ndimage.convolve1d(ndimage.convolve1d(encoded, [1, -2, 1], 0), [1, -2, 1], 1)
+    inside = ndimage.binary_erosion(known, np.ones((3, 3)))
+    return float(np.median(np.abs(second[inside]))) / (6 * 0.6745) if inside.any() else 0.0
