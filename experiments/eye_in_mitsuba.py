@@ -18,7 +18,9 @@ import mitsuba as mi
 import numpy as np
 from scipy import ndimage
 
+from irisjax.anatomy.eye import Eye
 from irisjax.export.mesh import eye_meshes, mesh_files, right_handed
+from irisjax.render.camera import Camera
 from irisjax.render.scene import Scene
 
 FAR = 1e4
@@ -77,32 +79,32 @@ def photograph(
     assert cornea is not None
     index = float(cornea.index)
     glass = {
-        "anterior": ply("anterior", bsdf=_glass(index, 1.0)),
-        "posterior": ply("posterior", bsdf=_glass(aqueous, index)),
+        "anterior": ply("anterior", bsdf=dielectric(index, 1.0)),
+        "posterior": ply("posterior", bsdf=dielectric(aqueous, index)),
     }
-    near = {"sclera": ply("sclera", bsdf=_matt(white)), **before}
+    near = {"sclera": ply("sclera", bsdf=matt(white)), **before}
     solid = {**near, **behind}
     black = {
-        n: {**s, "bsdf": {"type": "twosided", "of": _matt([0, 0, 0])}} for n, s in solid.items()
+        n: {**s, "bsdf": {"type": "twosided", "of": matt([0, 0, 0])}} for n, s in solid.items()
     }
 
-    grey = {"iris": ply("iris", bsdf=_matt([_GREY] * 3))}
+    grey = {"iris": ply("iris", bsdf=matt([_GREY] * 3))}
     # Particles start on a disc as large as all there is: what is far behind would waste them.
     light = _light_on_iris({**glass, **near, **grey}, scene, room, effort, seed)
     radiance = _texture(scene, albedo, light)
     glowing = {
-        "iris": ply("iris", bsdf=_matt([0, 0, 0]), light={"type": "area", "radiance": radiance})
+        "iris": ply("iris", bsdf=matt([0, 0, 0]), light={"type": "area", "radiance": radiance})
     }
-    sensor = _camera(scene)
-    picture = _render({**glass, **black, **glowing}, sensor, effort.seen, seed + 2)
+    sensor = sensor_of(scene.camera, scene.eye)
+    picture = traced({**glass, **black, **glowing}, sensor, effort.seen, seed + 2)
 
     # A conductor that does not absorb mirrors as the cornea does, and lets nothing through: no
     # sample is lost to the inside, which is in the picture already.
-    mirror = {"type": "conductor", "eta": _rgb([index] * 3), "k": _rgb([0.0] * 3)}
+    mirror = {"type": "conductor", "eta": rgb([index] * 3), "k": rgb([0.0] * 3)}
     front = {"anterior": ply("anterior", bsdf=mirror)}
-    sources = ({"lamp": _disc(scene)}, {"room": _room(room)})
+    sources = ({"lamp": _disc(scene)}, {"room": room_of(room)})
     for i, source in enumerate(sources):
-        picture += _render({**front, **solid, **source}, sensor, effort.outside, seed + 3 + i)
+        picture += traced({**front, **solid, **source}, sensor, effort.outside, seed + 3 + i)
     return picture
 
 
@@ -111,21 +113,21 @@ def _light_on_iris(shapes, scene: Scene, room: float, effort: Effort, seed: int)
     depth = float(scene.eye.iris_depth) + _CHAMBER
     sensor = {
         "type": "perspective",
-        "to_world": _look([0, 0, _CHAMBER], [0, 0, _CHAMBER - 1]),
+        "to_world": look_at([0, 0, _CHAMBER], [0, 0, _CHAMBER - 1]),
         "fov": 2 * math.degrees(math.atan(HALF / depth)),
         "near_clip": 1e-3,
-        "film": _film(effort.cells, effort.cells),
+        "film": film_of(effort.cells, effort.cells),
     }
     assert scene.lights is not None
     away = -np.asarray(scene.lights.towards[0], float) * [1, 1, -1]
     lamp = {
         "type": "directional",
         "direction": away.tolist(),
-        "irradiance": _rgb([float(scene.lights.irradiance[0])] * 3),
+        "irradiance": rgb([float(scene.lights.irradiance[0])] * 3),
     }
     each = max(1, effort.particles // effort.cells**2)
-    by_lamp = _render({**shapes, "lamp": lamp}, sensor, each, seed, "ptracer", 5)
-    by_room = _render({**shapes, "room": _room(room)}, sensor, effort.samples, seed + 1, depth=5)
+    by_lamp = traced({**shapes, "lamp": lamp}, sensor, each, seed, "ptracer", 5)
+    by_room = traced({**shapes, "room": room_of(room)}, sensor, effort.samples, seed + 1, depth=5)
     found = (by_lamp + by_room) * (math.pi / _GREY)
     # Beyond the iris nothing is seen; only its own cells are averaged.
     line = (np.arange(effort.cells) + 0.5) * (2 * HALF / effort.cells) - HALF
@@ -168,26 +170,28 @@ def _texture(scene: Scene, albedo: np.ndarray, light: np.ndarray) -> dict[str, A
     return {"type": "bitmap", "bitmap": mi.Bitmap(values), "raw": True, "wrap_mode": "clamp"}
 
 
-def _camera(scene: Scene) -> dict[str, Any]:
-    camera = scene.camera
-    origin = np.asarray(camera.place(scene.eye), float) * [1, 1, -1]
-    target = [0.0, 0.0, -float(scene.eye.iris_depth)]
+def sensor_of(camera: Camera, eye: Eye) -> dict[str, Any]:
+    """A pinhole camera of Mitsuba's that sees what `camera` sees."""
+    origin = np.asarray(camera.place(eye), float) * [1, 1, -1]
+    target = [0.0, 0.0, -float(eye.iris_depth)]
     half = math.atan(float(camera.width) / 2 / float(camera.distance))
     return {
         "type": "perspective",
-        "to_world": _look(origin.tolist(), target),
+        "to_world": look_at(origin.tolist(), target),
         "fov": 2 * math.degrees(half),
         "fov_axis": "x",
         "near_clip": float(camera.distance) / 100,
-        "film": _film(*camera.size),
+        "film": film_of(*camera.size),
     }
 
 
-def _look(origin: list[float], target: list[float]):
+def look_at(origin: list[float], target: list[float]):
+    """Transform of what looks from one point at another, +y up."""
     return mi.ScalarTransform4f().look_at(origin=origin, target=target, up=[0, 1, 0])
 
 
-def _film(width: int, height: int) -> dict[str, Any]:
+def film_of(width: int, height: int) -> dict[str, Any]:
+    """A film without a filter across pixels."""
     size = {"width": width, "height": height}
     return {"type": "hdrfilm", **size, "pixel_format": "rgb", "rfilter": {"type": "box"}}
 
@@ -196,16 +200,17 @@ def _disc(scene: Scene) -> dict[str, Any]:
     assert scene.lights is not None
     towards = np.asarray(scene.lights.towards[0], float) * [1, 1, -1]
     radius = float(scene.lights.radius[0])
-    place = _look((FAR * towards).tolist(), [0, 0, 0])
+    place = look_at((FAR * towards).tolist(), [0, 0, 0])
     radiance = float(scene.lights.irradiance[0]) / (math.pi * math.sin(radius) ** 2)
     return {
         "type": "disk",
         "to_world": place @ mi.ScalarTransform4f().scale(FAR * math.tan(radius)),
-        "emitter": {"type": "area", "radiance": _rgb([radiance] * 3)},
+        "emitter": {"type": "area", "radiance": rgb([radiance] * 3)},
     }
 
 
-def _render(shapes, sensor, samples: int, seed: int, integrator="path", depth=3) -> np.ndarray:
+def traced(shapes, sensor, samples: int, seed: int, integrator="path", depth=3) -> np.ndarray:
+    """Linear picture (rows, columns, 3) of shapes, with so many samples a pixel."""
     scene = mi.load_dict(
         {
             "type": "scene",
@@ -225,17 +230,21 @@ def _render(shapes, sensor, samples: int, seed: int, integrator="path", depth=3)
     return total / samples
 
 
-def _glass(inside: float, outside: float) -> dict[str, Any]:
+def dielectric(inside: float, outside: float) -> dict[str, Any]:
+    """A smooth interface between two refractive indices."""
     return {"type": "dielectric", "int_ior": inside, "ext_ior": outside}
 
 
-def _matt(albedo) -> dict[str, Any]:
-    return {"type": "diffuse", "reflectance": _rgb([float(a) for a in albedo])}
+def matt(albedo) -> dict[str, Any]:
+    """A Lambertian surface."""
+    return {"type": "diffuse", "reflectance": rgb([float(a) for a in albedo])}
 
 
-def _room(radiance: float) -> dict[str, Any]:
-    return {"type": "constant", "radiance": _rgb([radiance] * 3)}
+def room_of(radiance: float) -> dict[str, Any]:
+    """The same radiance from everywhere."""
+    return {"type": "constant", "radiance": rgb([radiance] * 3)}
 
 
-def _rgb(value) -> dict[str, Any]:
+def rgb(value) -> dict[str, Any]:
+    """Three channels."""
     return {"type": "rgb", "value": value}

@@ -9,7 +9,10 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "experiments" / "results"
-ELSEWHERE = {"simulated_photographs": ROOT / "data" / "photographs"}
+ELSEWHERE = {
+    "simulated_photographs": ROOT / "data" / "photographs",
+    "mitsuba_photographs": ROOT / "data" / "photographs" / "volumetric",
+}
 NAMES = sorted(
     p.stem
     for p in (ROOT / "experiments").glob("*.py")
@@ -27,6 +30,7 @@ SLOW = {
     "exact_against_montecarlo",
     "eye_colours",
     "groups",
+    "mitsuba_truth",
     "painted_irides",
     "polarisation",
     "render_figures",
