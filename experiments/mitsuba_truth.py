@@ -16,8 +16,9 @@ from experiments.common import RESULTS, start, write
 from experiments.mitsuba_photographs import FOLDER
 from irisjax.io.photographs import read_photograph
 from irisjax.photo.clone import (
+    DOUBTS,
     CloneSettings,
-    Fitted,
+    Coloured,
     Given,
     Sampled,
     clone_eye,
@@ -27,15 +28,24 @@ from irisjax.photo.clone import (
     outline_eye,
 )
 from irisjax.photo.photograph import Ellipse
+from irisjax.photo.pigments import concentrations_of
+from irisjax.photo.texels import OwnPigments
+from irisjax.tissue.iris import Iris
+from irisjax.tissue.pigments import extinction
 
 ABOUT = ("clones of data/photographs/volumetric, all simulated",)
 STEP = 0.05
 """Of radii, mm: correlations are of deviations from the mean at a radius."""
-_COLUMNS = (
+_WIDEST = 5.2  # radius of texels that are compared, mm: beyond, the white fades in
+COLUMNS = (
     *("photograph", "limbus_off", "pupil_off", "limbus_confidence", "pupil_confidence", "given"),
-    *("tilt", "tilt_low", "tilt_high", "true_tilt", "correlation", "correlation_all", "share_lit"),
+    *("tilt", "tilt_low", "tilt_high", "true_tilt", "share_lit"),
+    *("correlation_stroma", "correlation_stroma_seen", "correlation_melanin"),
+    *("within_stroma", "within_eumelanin", "within_pheomelanin"),
+    *("strength", "true_strength", "texels_melanin"),
     *("abl_melanin", "abl_melanin_low", "abl_melanin_high", "true_abl_melanin"),
-    *("scattering", "true_scattering", "rms_red", "rms_green", "rms_blue", "doubts"),
+    *("rms_red", "rms_green", "rms_blue", "pigments_red", "pigments_green", "pigments_blue"),
+    *("gain", "outside", "explained", "doubts_outlines", "doubts_light", "doubts_model"),
 )
 
 
@@ -43,8 +53,8 @@ def main(key, quick=False, out=RESULTS, folder=FOLDER):
     """Write a CSV (quick: one photograph, few steps of the posterior)."""
     settings = CloneSettings(steps=200) if quick else CloneSettings()
     truths = read_truth(folder)[: 1 if quick else None]
-    rows = (_row(folder, t, settings, key) for t in truths)
-    write(out / "mitsuba_truth.csv", ABOUT, _COLUMNS, rows)
+    rows = (row_of(folder, t, settings, key) for t in truths)
+    write(out / "mitsuba_truth.csv", ABOUT, COLUMNS, rows)
 
 
 def read_truth(folder: Path = FOLDER) -> list[dict[str, Any]]:
@@ -79,7 +89,8 @@ def outlines_off(found: Any, truth: dict[str, Any]) -> tuple[float, float]:
     return limbus, pupil
 
 
-def _row(folder: Path, truth: dict[str, Any], settings: CloneSettings, key) -> tuple:
+def row_of(folder: Path, truth: dict[str, Any], settings: CloneSettings, key) -> tuple:
+    """One photograph's numbers."""
     photograph = read_photograph(folder / truth["file"])
     outlined = outline_eye(photograph)
     found = outlined.boundaries
@@ -89,26 +100,25 @@ def _row(folder: Path, truth: dict[str, Any], settings: CloneSettings, key) -> t
     given = Given(**{n: ellipse_of(truth[n]) for n in refused})
     clone = list(clone_eye(photograph, settings, given, key=key))[-1]
     assert isinstance(clone, Sampled)
-    pose, rms = clone.pose, compare_with_photograph(clone).rms
-    tilt = [math.degrees(v) for v in (pose.tilt, *pose.tilt_interval)]
-    scores = _correlations(clone, folder, truth)
-    mass = _abl_melanin(clone)
-    own = clone.fit.iris(clone.base)
+    assert clone.texels is not None
+    pose, shown = clone.pose, compare_with_photograph(clone)
+    doubts = doubts_of(clone, shown.rms_of_pigments)
+    kinds = [doubt.kind for doubt in doubts]
+    own = clone.texels
     row = (
         truth["file"],
         *first,
         "+".join(refused),
-        *tilt,
+        *(math.degrees(v) for v in (pose.tilt, *pose.tilt_interval)),
         math.degrees(truth["camera"]["polar"]),
-        *scores,
-        *np.quantile(mass, [0.5, 0.025, 0.975]).tolist(),
+        *_maps_against_truth(clone, own, folder, truth),
+        *np.quantile(_abl_melanin(clone), [0.5, 0.025, 0.975]).tolist(),
         true_abl_melanin(folder, truth),
-        _scattering(own),
-        truth["scattering"]["over_lb06"],
-        *(float(v) for v in rms),
-        len(doubts_of(clone, rms)),
+        *(float(v) for v in (*shown.rms, *shown.rms_of_pigments)),
+        *(own.gain, own.outside, own.explained),
+        *(kinds.count(kind) for kind in DOUBTS),
     )
-    print(*row, *doubts_of(clone, rms), sep="\n  ", flush=True)
+    print(*row, *doubts, sep="\n  ", flush=True)
     return row
 
 
@@ -124,34 +134,68 @@ def true_abl_melanin(folder: Path, truth: dict[str, Any]) -> float:
     return float(read_map(folder, truth, "abl_melanin")[read_map(folder, truth, "lit")].mean())
 
 
-def _scattering(iris: Any) -> float:
-    """Strength of the stroma's scattering relative to LB06's fibrils."""
-    from experiments.volumetric_iris import REFERENCE, lb06_scattering
-    from irisjax.tissue.pigments import extinction
+def _scattering(iris: Iris) -> float:
+    """Scattering coefficient of a stroma relative to LB06's."""
+    depths = [
+        i.layers(extinction(np.array([550.0]))).stroma_scattering[0] / i.stroma_thickness
+        for i in (iris, Iris())
+    ]
+    return float(depths[0] / depths[1])
 
-    depth = iris.layers(extinction(np.array([REFERENCE]))).stroma_scattering[0]
-    return float(depth / iris.stroma_thickness) / lb06_scattering()
 
-
-def _correlations(clone: Fitted, folder: Path, truth: dict[str, Any]) -> tuple[float, float, float]:
-    """Of the estimated and the true thickness about their means at a radius, where the iris is well
-    lit and where it is seen at all; and the share of the iris that is well lit.
+def _maps_against_truth(
+    clone: Coloured, own: OwnPigments, folder: Path, truth: dict[str, Any]
+) -> tuple[float, ...]:
+    """Share of the iris that is well lit; correlations about the means at a radius, of the stroma's
+    strength where it is well lit and where it is seen at all, and of the ABL's melanin; shares of
+    well lit texels whose logarithms are within two standard deviations of the truth (strength,
+    eumelanin and pheomelanin of the ABL); medians of the strength, mm of LB06's stroma, found and
+    true; the mean found melanin of the ABL, µg/mm².
     """
-    texture = clone.texture
-    size = len(texture.valid)
-    true, lit = read_map(folder, truth, "thickness"), read_map(folder, truth, "lit")
-    true, lit = (
-        ndimage.zoom(v.astype(float), size / len(v), order=1, grid_mode=True, mode="nearest")
-        for v in (true, lit)
+    texture, iris, maps = clone.texture, own.iris, own.maps
+    size, radius = len(texture.valid), clone.texture.radius()
+
+    def of_truth(name: str) -> np.ndarray:
+        values = read_map(folder, truth, name).astype(float)
+        zoom = size / len(values)
+        return ndimage.zoom(values, zoom, order=1, grid_mode=True, mode="nearest")
+
+    def found(values: Any) -> np.ndarray:
+        return texture.from_polar(np.asarray(values))
+
+    melanin, share = of_truth("abl_melanin"), of_truth("abl_pheomelanin_share")
+    true = (
+        of_truth("thickness") * truth["scattering"]["over_lb06"],
+        melanin * (1 - share),
+        melanin * share,
     )
-    radius = texture.radius()
-    seen = texture.valid & (true > 0) & (radius < 5.2)
-    good = seen & (lit > 0.5)
-    found = np.log(clone.morphology.thickness + 0.01)
-    true = np.log(true + 0.01)
-    scores = [_correlation(true[m], found[m], radius[m]) for m in (good, seen)]
+    held = concentrations_of(iris)
+    thick = float(iris.abl_thickness)
+    mine = (
+        found(maps.stroma_depth) * _scattering(iris),
+        found(maps.eumelanin) * held["abl_eumelanin"] * thick,
+        found(maps.pheomelanin) * held["abl_pheomelanin"] * thick,
+    )
+    seen = texture.valid & (true[0] > 0) & (radius < _WIDEST)
+    good = seen & (of_truth("lit") > 0.5)
+    logs = [[np.log(np.maximum(v, 1e-6)) for v in values] for values in (true, mine)]
+    within = [
+        float((np.abs(t - m) < 2 * found(sd))[good].mean())
+        for t, m, sd in zip(*logs, own.deviations, strict=True)
+    ]
+    both = np.log(mine[1] + mine[2])
+    scores = [
+        *(_correlation(logs[0][0][m], logs[1][0][m], radius[m]) for m in (good, seen)),
+        _correlation(np.log(np.maximum(melanin, 1e-6))[good], both[good], radius[good]),
+    ]
     whole = math.pi * (texture.iris_radius**2 - texture.pupil_radius**2)
-    return scores[0], scores[1], float(good.sum() * texture.millimetres_per_texel**2 / whole)
+    return (
+        float(good.sum() * texture.millimetres_per_texel**2 / whole),
+        *scores,
+        *within,
+        *(float(np.median(v[good])) for v in (mine[0], true[0])),
+        float((mine[1] + mine[2])[good].mean()),
+    )
 
 
 def _correlation(one: np.ndarray, other: np.ndarray, radius: np.ndarray) -> float:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -29,10 +30,8 @@ def test_a_uniform_slab_is_as_bright_as_radiative_transfer_makes_it(monkeypatch)
     light = np.ones((32, 64))
     known = np.ones(size), scattering, absorbing, sheet
     found = volume.traced_slab(*known, None, light, 1500, 1)[2:6, 2:6].mean((0, 1)) * np.pi
-    layers = Layers(
-        *(depth, absorbing * volume.DEPTH, scattering * volume.DEPTH),
-        indices=(n := RefractiveIndices(*(np.asarray(1.0),) * 4)),
-        order=n.order(),
-    )
+    indices = RefractiveIndices(*(jnp.asarray(1.0),) * 4)
+    depths = map(jnp.asarray, (depth, absorbing * volume.DEPTH, scattering * volume.DEPTH))
+    layers = Layers(*depths, indices=indices, order=indices.order())
     expected = np.asarray(ij.RadiativeExact().solve(layers, Light(1.0)).reflectance)
     np.testing.assert_allclose(found / volume.irradiance_of(light), expected, rtol=0.02)
