@@ -501,10 +501,8 @@ def _registered(variant: str) -> str:
             return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
         def eval_null_transmission(self, si, active=True):
-            import drjit as dr
-
-            cosine = dr.maximum(dr.abs(mi.Frame3f.cos_theta(si.wi)), 1e-3)
-            return dr.exp(-self.depth.eval(si, active) / cosine)
+            cosine = abs(mi.Frame3f.cos_theta(si.wi)) + 1e-6
+            return mi.Spectrum(math.e) ** (-self.depth.eval(si, active) / cosine)
 
     name = "absorbing_sheet"
     mi.register_bsdf(name, lambda props: Sheet(props))
