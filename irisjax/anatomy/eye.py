@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jax.core import Tracer
+from jaxtyping import Float
 
 from irisjax._types import Numbers, Scalar, Spectrum, float_field, optional_field
 from irisjax.anatomy.media import AQUEOUS, CORNEA, INDEX, Media
@@ -30,6 +31,7 @@ EYE_LIMITS = {
     "iris_radius": Range(4, 7, "mm"),
     "pupil_radius": Range(0.25, 4.75, "mm"),
     "pupil_margin": Range(0.005, 1.2, "mm"),
+    "pupil_centre": Range(-1, 1, "mm"),
     "radius": Range(8, 16, "mm"),
     "veins": Range(0, 10),
     "hemoglobin": Range(0, 10, "mmol/l"),
@@ -107,6 +109,8 @@ class Eye(eqx.Module):
         pupil_radius: Radius of the pupil, mm.
         pupil_margin: Width over which the iris fades into the pupil, mm; 0.005 is sharp in any
             picture.
+        pupil_centre: Middle of the pupil (x, y), mm from the axis; `None` on it. Circles on the
+            iris that are concentric with its pupil or its root lie between the two.
         attenuation: Attenuation of the aqueous humour, 1/mm, or `None`: water absorbs 1e-4 over the
             chamber in the visible.
 
@@ -125,6 +129,7 @@ class Eye(eqx.Module):
     iris_radius: Scalar = float_field(5.5)
     pupil_radius: Scalar = float_field(1.9)
     pupil_margin: Scalar = float_field(0.12)
+    pupil_centre: Float[Array, "2"] | None = optional_field()
     attenuation: Scalar | None = optional_field()
 
     def __check_init__(self) -> None:
@@ -135,6 +140,8 @@ class Eye(eqx.Module):
                 f"pupil_radius = {float(radii[0]):g} mm must be below "
                 f"iris_radius = {float(radii[1]):g} mm"
             )
+        if self.pupil_centre is not None and _known(self.pupil_centre, *radii):
+            self._check_centre(np.asarray(self.pupil_centre))
         slope = 0.0 if self.iris_slope is None else self.iris_slope
         ring = self.iris_radius, self.limbus_radius, slope
         if self.cornea is not None and _known(self.cornea, ring, self.iris_depth):
@@ -157,12 +164,31 @@ class Eye(eqx.Module):
         return dataclasses.replace(self, **fields)
 
     def relative_radius(self, distance: Numbers) -> Array:
-        """Map distances from the axis (mm) to 0 at the pupil's edge and 1 at the root."""
+        """Map radii of rings (mm) to 0 at the pupil's edge and 1 at the root."""
         return (distance - self.pupil_radius) / (self.iris_radius - self.pupil_radius)
 
     def from_axis(self, relative_radius: Numbers) -> Array:
-        """Map relative radii to distances from the axis, mm: the inverse of `relative_radius`."""
+        """Map relative radii to radii of rings, mm: the inverse of `relative_radius`."""
         return self.pupil_radius + (self.iris_radius - self.pupil_radius) * relative_radius
+
+    def ring_of(self, x: Numbers, y: Numbers) -> tuple[Array, Array, Array]:
+        """Compute the relative radius of the ring through points of the iris, and the points
+        relative to the middle of the ring, mm: the pupil's for 0, the axis for 1.
+        """
+        x, y = jnp.asarray(x), jnp.asarray(y)
+        if self.pupil_centre is None:
+            return self.relative_radius(safe_sqrt(x * x + y * y)), x, y
+        return rings_between((x, y), self.pupil_centre, self.pupil_radius, self.iris_radius)
+
+    def _check_centre(self, centre: np.ndarray) -> None:
+        if centre.shape != (2,):
+            raise ValueError(f"pupil_centre has shape {centre.shape}; need x and y")
+        room = float(self.iris_radius - self.pupil_radius)
+        if not np.hypot(*centre) < room:
+            raise ValueError(
+                f"pupil_centre = {np.hypot(*centre):.2f} mm from the axis puts the pupil beyond "
+                f"the root of the iris; it must be below {room:.2f} mm"
+            )
 
     def meet_iris(self, origin: Vector, direction: Vector) -> Array:
         """Compute the distance along rays to the plane or cone of the iris, mm."""
@@ -187,6 +213,22 @@ class Eye(eqx.Module):
         r = safe_sqrt(x * x + y * y)
         rise = self.iris_slope / (jnp.where(r > 0, r, 1.0) * length)
         return jnp.stack([rise * x, rise * y, -jnp.ones_like(x) / length], axis=-1)
+
+
+def rings_between(
+    point: tuple[Numbers, Numbers], centre: Any, inner: Numbers, outer: Numbers
+) -> tuple[Array, Array, Array]:
+    """Compute `Eye.ring_of` for rings between a circle of radius `inner` about `centre` and one of
+    radius `outer` about the axis, mm.
+    """
+    # |p - (1 - s) c| = inner + s (outer - inner), a quadratic in s.
+    (cx, cy), width = centre, outer - inner
+    u, v = jnp.asarray(point[0]) - cx, jnp.asarray(point[1]) - cy
+    a = width**2 - cx**2 - cy**2
+    b = inner * width - (u * cx + v * cy)
+    within = inner**2 - u * u - v * v
+    s = (safe_sqrt(jnp.maximum(b * b - a * within, 0.0)) - b) / a
+    return s, u + s * cx, v + s * cy
 
 
 def _known(*values) -> bool:

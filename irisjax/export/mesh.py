@@ -66,6 +66,8 @@ def eye_meshes(eye: Eye, spacing: float = 0.1) -> "dict[str, Trimesh]":
     r = np.linspace(pupil, root, _steps(root - pupil, spacing))
     # A seam: the points at u = 1 are those at u = 0 once more.
     iris = _revolved(r, depth + slope * r, np.full_like(r, slope), -np.ones_like(r), around, True)
+    if eye.pupil_centre is not None:
+        iris = _moved(eye, iris, (root - r) / (root - pupil))
     u, v = np.meshgrid(np.arange(around + 1) / around, (r - pupil) / (root - pupil))
     meshes["iris"] = _mesh(*iris, np.stack([u.ravel(), v.ravel()], -1))
 
@@ -204,6 +206,17 @@ def _cap(surface: Conicoid, edge: float, spacing: float, around: int) -> "Trimes
     # The gradient of the surface's equation [F09 Eq. 3].
     inwards = float(surface.radius) - float(surface.shape) * (z - float(surface.apex))
     return _mesh(*_revolved(r, z, r, -inwards, around))
+
+
+def _moved(eye: Eye, iris: tuple[np.ndarray, ...], shares: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Points, normals and triangles of an iris, each ring moved by its share of the pupil's way."""
+    points, _, faces = iris
+    away = np.repeat(shares, len(points) // len(shares))[:, None] * np.asarray(eye.pupil_centre)
+    across = points[:, :2] + away
+    slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
+    deep = float(eye.iris_depth) + slope * np.hypot(*across.T)
+    points = np.column_stack([across, deep])
+    return points, np.asarray(eye.iris_normal(jnp.asarray(points)), points.dtype), faces
 
 
 def _depth(surface: Conicoid, r: Any) -> np.ndarray:

@@ -216,6 +216,7 @@ def scene_text(clone: Fitted) -> str:
         "eye": {
             "cornea": "f09" if eye.cornea.posterior is None else "two-surfaces",
             **{name: getattr(eye, name) for name in places},
+            **({} if eye.pupil_centre is None else {"pupil_centre": eye.pupil_centre}),
         },
         "camera": {
             "size": camera.size,

@@ -228,6 +228,7 @@ SECTIONS: dict[str, dict[str, EntryCheck]] = {
         "cornea": ("two-surfaces", "f09", "none"),
         "sclera": bool,
         **{name: EYE_LIMITS[name] for name in (*PLACES, "veins", "attenuation", "aqueous_index")},
+        "pupil_centre": listed("[x, y] in mm", EYE_LIMITS["pupil_centre"]),
     },
     "camera": {
         "polar_deg": Range(0, 180),

@@ -552,7 +552,8 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
     x, y = map(np.asarray, seen.point[:2])
     radius = onto_picture(seen, np.hypot(x, y), shape)
     clear = fitted.clear & iris_alone(fitted.pose)
-    clear &= radius > float(eye.pupil_radius + eye.pupil_margin)
+    ring = onto_picture(seen, np.asarray(eye.from_axis(eye.ring_of(x, y)[0])), shape)
+    clear &= ring > float(eye.pupil_radius + eye.pupil_margin)
     target = fitted.unveiled() / fitted.exposure
     if fitted.veil is None:
         dark = scene.replace(iris=fitted.base, maps=None)

@@ -76,7 +76,7 @@ class Pose(NamedTuple):
     Attributes:
         camera: The camera, whose picture has the size of the part.
         corner: Column and row of the part's first pixel in the photograph.
-        eye: The eye with its pupil, which the model has in the middle of the iris.
+        eye: The eye with its pupil.
         pupil_centre: Observed centre of the pupil on the iris, mm from the axis.
         tilt: Angle between the eye's axis and the camera, radians.
         tilt_sd: Standard deviation of the tilt, see `tilts_allowed`.
@@ -227,7 +227,7 @@ def find_pose(
     centre, radius = _pupil_on_iris(eye, camera, pupil.moved(half - x, half - y))
     seen_at = None if focal_px is None else distance
     side = "pupil" if azimuth is None else "given"
-    eye = eye.replace(pupil_radius=radius)
+    eye = eye.replace(pupil_radius=radius, pupil_centre=jnp.asarray(centre))
     if not measured:
         return Pose(camera, corner, eye, centre, tilt, *tilts_allowed(tilt), seen_at, side)
     sd, interval, stretched = tilts_of_people(limbus, pupil, spread, azimuth)
@@ -248,7 +248,7 @@ def project_iris_points(
     """Return the columns and rows in which points of the iris (mm) appear, and whether they do."""
     # A camera of one size for all photographs, so that one compiled program serves them all.
     same = Camera(camera.polar, camera.azimuth, camera.distance, cast(Any, 2.0), (2, 2))
-    found = _seen(eye, same, jnp.asarray(points))
+    found = _seen(eye.replace(pupil_centre=None), same, jnp.asarray(points))
     (columns, rows), pitch = camera.size, float(camera.width) / camera.size[0]
     column = (np.asarray(found.column) - 0.5) / pitch + columns / 2 - 0.5
     row = (np.asarray(found.row) - 0.5) / pitch + rows / 2 - 0.5

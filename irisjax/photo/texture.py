@@ -9,6 +9,7 @@ from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline, make_interp_spline
 from skimage.transform import downscale_local_mean
 
+from irisjax.anatomy.eye import rings_between
 from irisjax.photo.photograph import Brightness, Colours, Mask
 from irisjax.photo.pose import Pose, iris_points, project_iris_points
 from irisjax.render import environment
@@ -31,12 +32,14 @@ class Unrefracted(NamedTuple):
         pixels: Linear values on sRGB's primaries.
         valid: Texels that show the iris: neither pupil nor lids, lashes or highlights.
         pupil_radius: In mm, as `iris_radius`.
+        pupil_centre: Middle of the pupil, mm from the axis.
     """
 
     pixels: Colours
     valid: Mask
     pupil_radius: float
     iris_radius: float
+    pupil_centre: tuple[float, float] = (0.0, 0.0)
 
     @property
     def millimetres_per_texel(self) -> float:
@@ -57,15 +60,17 @@ class Unrefracted(NamedTuple):
 
     def to_polar(self, values: np.ndarray, shape: tuple[int, int] = MAP_SHAPE) -> np.ndarray:
         """Return the means of values at the texels over polar cells, see `to_polar`."""
-        return to_polar(values, self.pupil_radius, self.iris_radius, shape)
+        return to_polar(values, self.pupil_radius, self.iris_radius, shape, self.pupil_centre)
 
     def from_polar(self, values: Float[np.ndarray, "angles radii"]) -> Brightness:
         """Return values of polar cells at the texels, linear between the middles of cells."""
         angles, radii = values.shape
         ring = np.concatenate([values[-1:], values, values[:1]]).astype(np.float32)
-        row = self.angle() % (2 * np.pi) * (angles / (2 * np.pi)) + 0.5
-        scale = radii / (self.iris_radius - self.pupil_radius)
-        return sampled(ring, row, (self.radius() - self.pupil_radius) * scale - 0.5)
+        radius, angle = self.radius(), self.angle()
+        point, rims = (radius * np.cos(angle), radius * np.sin(angle)), self[2:4]
+        place, x, y = map(np.asarray, rings_between(point, self.pupil_centre, *rims))
+        row = np.arctan2(y, x) % (2 * np.pi) * (angles / (2 * np.pi)) + 0.5
+        return sampled(ring, row, place * radii - 0.5)
 
 
 def texels_of(size: int) -> tuple[Brightness, Brightness]:
@@ -162,7 +167,8 @@ def unrefract(pixels: Colours, clear: Mask, pose: Pose, where: Refraction) -> Un
     off_pupil = np.hypot(x - pose.pupil_centre[0], y - pose.pupil_centre[1]) > pupil
     shown = where.visible & within
     found = np.where(shown[..., None], found, np.float32(0))
-    return Unrefracted(found, shown & off_pupil & (sure > 0.999), pupil, root)
+    valid = shown & off_pupil & (sure > 0.999)
+    return Unrefracted(found, valid, pupil, root, pose.pupil_centre)
 
 
 def pixels_shown(view: View, visible: Mask, shape: tuple[int, int]) -> np.ndarray:
@@ -187,7 +193,11 @@ def sampled(
 
 
 def to_polar(
-    values: Brightness, pupil_radius: float, iris_radius: float, shape: tuple[int, int] = MAP_SHAPE
+    values: Brightness,
+    pupil_radius: float,
+    iris_radius: float,
+    shape: tuple[int, int] = MAP_SHAPE,
+    pupil_centre: tuple[float, float] = (0.0, 0.0),
 ) -> Float[np.ndarray, "angles radii"]:
     """Return means over polar cells of a texture without holes.
 
@@ -212,8 +222,11 @@ def to_polar(
     place = pupil_radius + (iris_radius - pupil_radius) * out
     weight = place.reshape(radii, fine[1])
     weight = (weight / weight.sum(1, keepdims=True)).astype(np.float32)
-    column = (np.cos(turn)[:, None] * place + HALF_WIDTH) / texel - 0.5
-    row = (HALF_WIDTH - np.sin(turn)[:, None] * place) / texel - 0.5
+    x, y = (
+        along[:, None] * place + (1 - out) * centre
+        for along, centre in zip((np.cos(turn), np.sin(turn)), pupil_centre, strict=True)
+    )
+    column, row = (x + HALF_WIDTH) / texel - 0.5, (HALF_WIDTH - y) / texel - 0.5
     samples = sampled(values.astype(np.float32), row, column)
     cells = samples.reshape(angles, fine[0], radii, fine[1]).mean(1)
     return np.einsum("arf,rf->ar", cells, weight)

@@ -288,6 +288,11 @@ def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integr
     return jax.lax.map(column, jnp.eye(one.size)).transpose(1, 2, 3, 0)
 
 
+def _rings_at(eye: Eye, x, y):
+    """Radii (mm) of the rings through points of the iris."""
+    return np.asarray(eye.from_axis(eye.ring_of(x, y)[0]))
+
+
 def _shaded(light, present) -> Bool[np.ndarray, " windows"]:
     """Windows much darker than most of their ring: in a shadow, whose edge is not modelled well."""
     rings = np.ma.masked_array(light, ~present).reshape(RINGS, ANGLES)
@@ -310,7 +315,7 @@ def _windows_of_pixels(seen: IrisPixels, clear, eye: Eye):
     """The number of each pixel's window, `COUNT` for none."""
     number = project.pixel_numbers(seen)
     x, y = map(np.asarray, seen.point[:2])
-    r, around = np.hypot(x, y), np.arctan2(y, x) % (2 * np.pi)
+    r, around = _rings_at(eye, x, y), np.arctan2(y, x) % (2 * np.pi)
     inner = float(eye.pupil_radius) + MARGIN
     outer = min(float(eye.iris_radius), float(eye.limbus_radius)) - OUTER_MARGIN
     usable = (number >= 0) & (r > inner) & (r < outer) & clear.reshape(-1)[number]

@@ -115,7 +115,12 @@ def deciding(eye: Eye) -> Eye:
     # Behind a single surface lies the chamber; the cornea's own index is then met nowhere.
     index = eye.aqueous_index if cornea.posterior is None else cornea.index
     cornea = dataclasses.replace(cornea, scatter=None, index=index)
-    rims = {"pupil_radius": 1.0, "pupil_margin": 0.12, "limbus_width": 1.0}
+    rims = {
+        "pupil_radius": 1.0,
+        "pupil_margin": 0.12,
+        "pupil_centre": None,
+        "limbus_width": 1.0,
+    }
     return eye.replace(cornea=cornea, sclera=None, **rims)
 
 

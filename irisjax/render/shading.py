@@ -162,7 +162,7 @@ def normals(pixels: IrisPixels, eye: Eye, slopes: Float[Array, "2 angles radii"]
     if slopes is None:
         return u, v, w
     place = _place_of(pixels, eye)
-    x, y, _ = pixels.point
+    _, x, y = eye.ring_of(*pixels.point[:2])
     r = safe_sqrt(x * x + y * y)
     r = jnp.where(r > 0, r, 1.0)  # a pixel that looks straight at the middle of the pupil
     # Of a unit normal: a cone's is none along z.
@@ -174,7 +174,11 @@ def normals(pixels: IrisPixels, eye: Eye, slopes: Float[Array, "2 angles radii"]
 
 def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
     """Of the iris's radiance that reaches the camera; fades into the pupil, 0 for padding."""
-    seen = smoothstep((from_axis(joined(pixels.point)) - eye.pupil_radius) / eye.pupil_margin)
+    away = pixels.point
+    if eye.pupil_centre is not None:
+        (x, y, z), (cx, cy) = away, eye.pupil_centre
+        away = x - cx, y - cy, z
+    seen = smoothstep((from_axis(joined(away)) - eye.pupil_radius) / eye.pupil_margin)
     share = pixels.share * seen
     return share if pixels.index is None else jnp.where(pixels.index < 0, 0.0, share)
 
@@ -202,7 +206,13 @@ def slopes_of(
     wide = jnp.concatenate([*before, relief, *after], 1)
     heights, along = (_quarters(wide, 1, kind)[:, 4:-4] for kind in (_HEIGHT, _SLOPE))
     across = _quarters(heights, 0, _SLOPE) * (rows / (2 * jnp.pi)) / radius
-    return jnp.stack([_quarters(along, 0, _HEIGHT) * (columns / span), across])
+    along = _quarters(along, 0, _HEIGHT) * columns
+    if eye.pupil_centre is not None:  # rings are nearer to one another where the pupil is
+        angle = (jnp.arange(2 * rows) + 0.5) * (jnp.pi / rows)
+        (cx, cy), u, v = eye.pupil_centre, jnp.cos(angle), jnp.sin(angle)
+        along = along + across * (cy * u - cx * v)[:, None]
+        span = (span - cx * u - cy * v)[:, None]
+    return jnp.stack([along / span, across])
 
 
 # Weights of texels −1 to 2 at a quarter of the way from 0 to 1, and their sign at a quarter of the

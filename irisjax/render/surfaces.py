@@ -53,8 +53,8 @@ class IrisSurface(AbstractSurface):
 
     def place(self, point: Vector) -> Place:
         """Angle and relative radius in `IrisMaps`."""
-        radius = self.eye.relative_radius(from_axis(point))
-        return arctan2(point[..., 1], point[..., 0]), radius
+        radius, x, y = self.eye.ring_of(point[..., 0], point[..., 1])
+        return arctan2(y, x), radius
 
 
 class CorneaSurface(AbstractSurface):

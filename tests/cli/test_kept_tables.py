@@ -77,7 +77,8 @@ def test_true_tables_come_back_to_the_bit(folder, monkeypatch, bits):
 def test_tables_are_made_of_what_the_key_sees():
     """Two eyes of one key have the same tables: build looks at nothing else."""
     parts = {"sclera": Sclera(radius=13.0), "cornea": Cornea(scatter=85e8)}
-    a = EYE.replace(pupil_radius=3.0, pupil_margin=0.02, limbus_width=0.3, **parts)
+    pupil = {"pupil_radius": 3.0, "pupil_margin": 0.02, "pupil_centre": [0.2, 0.1]}
+    a = EYE.replace(limbus_width=0.3, **pupil, **parts)
     b = EYE.replace(sclera=None)
     assert key(a, False) == key(b, False) == key(EYE, False)
     assert jax.tree.structure(deciding(a)) == jax.tree.structure(deciding(b))
@@ -106,7 +107,8 @@ def test_what_matters_makes_another_key(name):
 
 
 def test_every_field_of_the_eye_is_in_the_key_or_said_not_to_matter():
-    said = {"sclera", "pupil_radius", "pupil_margin", "limbus_width", "cornea", "cornea.scatter"}
+    pupil = {"pupil_radius", "pupil_margin", "pupil_centre"}
+    said = {*pupil, "sclera", "limbus_width", "cornea", "cornea.scatter"}
     fields = {f.name for f in dataclasses.fields(Eye)}
     fields |= {f"cornea.{f.name}" for f in dataclasses.fields(Cornea)}
     assert fields - said <= OTHERS.keys()
