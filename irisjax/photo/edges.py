@@ -1,5 +1,6 @@
 """Dark rings and rising edges in a picture, and ellipses through such edges."""
 
+import functools
 from collections.abc import Callable
 from itertools import product
 from typing import NamedTuple
@@ -13,13 +14,14 @@ from irisjax.photo.photograph import Brightness, Ellipse
 
 FINE, ROUGH = 250.0, 100.0
 """Radii in pixels at which outlines are measured, and at which candidates are compared."""
-RAYS = np.arange(180) * (2 * np.pi / 180)  # parameters of the points at which rays cross ellipses
+RAYS = np.arange(120) * (2 * np.pi / 120)  # parameters of the points at which rays cross ellipses
 _FLANK = 0.04  # distance from the best score within which the best fit is sought
 _ODD = 0.01  # mean score that outweighs one standard deviation of the centre, squared
 _LEAST = 0.15  # score of an edge that is used
 _PRECISION = 0.005  # of an edge, relative to the radius
 _RATIOS = (1.0, 0.93, 0.86)  # trial ratios of the semi-axes, for tilts up to about 30 degrees
 _RINGS = np.geomspace(20, 40, 7)[:-1]  # px: radii of one octave
+_INDEPENDENT = 18  # number of rays whose errors are independent
 _WEAK = 0.05  # change of log brightness per pixel that has half the weight
 
 _Picture = Float[np.ndarray, "rows columns channels"]
@@ -121,15 +123,22 @@ def find_rings(
     while low < high:
         scale = min(_RINGS[0] / low, 1.0)
         small = reduce_picture(brightness[..., None], scale)[..., 0]
-        size = tuple(fft.next_fast_len(n + 2 * int(_RINGS[-1] + 10)) for n in small.shape)
-        transformed, found = fft.fft2(_directions(small), size), [kept[:0]]
-        for radius in _RINGS * (low * scale / _RINGS[0]):
-            if radius / scale < 1.06 * high:
-                votes = _votes(transformed, small.shape, radius, sideways)
-                peak = ndimage.maximum_filter(votes, max(3, int(radius / 3)))
-                at = np.nonzero((votes == peak) & (votes > 0.15))
-                middle = [(c + 0.5) / scale - 0.5 for c in at[::-1]]
-                found.append(np.stack([*middle, 0 * at[0] + radius / scale, votes[at]], -1))
+        sizes = _RINGS * (low * scale / _RINGS[0])
+        sizes = sizes[sizes / scale < 1.06 * high]
+        margin = int(np.ceil(sizes[-1] + 5))
+        # Rounded up, so that kernels are cached.
+        least = ((max(n, margin + 1) + margin + 15) // 16 * 16 for n in small.shape)
+        shape = tuple(fft.next_fast_len(n, real=True) for n in least)
+        kernels = _ring_kernels(shape, tuple(sizes.round(3)), sideways)
+        parts = kernels * fft.rfft2(_directions(small), shape)
+        votes = fft.irfft2(parts.sum(1), shape)
+        votes = votes[:, margin : margin + small.shape[0], margin : margin + small.shape[1]]
+        found = [kept[:0]]
+        for radius, vote in zip(sizes, votes, strict=True):
+            peak = ndimage.maximum_filter(vote, max(3, int(radius / 3)))
+            at = np.nonzero((vote == peak) & (vote > 0.15))
+            middle = [(c + 0.5) / scale - 0.5 for c in at[::-1]]
+            found.append(np.stack([*middle, 0 * at[0] + radius / scale, vote[at]], -1))
         most = len(kept) + number
         for ring in sorted(np.concatenate(found), key=lambda ring: -ring[3]):
             away, ratio = np.hypot(*(kept[:, :2] - ring[:2]).T), ring[2] / kept[:, 2]
@@ -178,8 +187,8 @@ def cut_around(
 def along_rays(
     brightness: Brightness, outline: Ellipse, span: tuple[float, float], steps: int
 ) -> _Profiles:
-    """Return the brightness at `steps` distances over `span`, relative to an ellipse, along 180
-    rays; NaN outside the picture.
+    """Return the brightness at `steps` distances over `span`, relative to an ellipse, along
+    `RAYS`; NaN outside the picture.
     """
     middle = np.asarray(outline.centre)
     edge = outline.points(RAYS) - middle
@@ -200,9 +209,37 @@ def steps_along(
     place is the middle of the rise. It is fitted to the profile within `reach`.
     """
     x = np.linspace(*span, profile.shape[1])
-    pitch = x[1] - x[0]
+    band, triangles, n = _step_kernels(span, x.size, widths, reach)
+    count, window = x.size - 2 * n, 2 * n + 1
+
+    def windowed(values: np.ndarray) -> np.ndarray:
+        return (values @ band).reshape(len(values), count, -1)
+
+    missing = np.isnan(profile)
+    filled = np.where(missing, 0.0, profile)
+    filled = filled - filled.mean(1, keepdims=True)  # against rounding in the sums of squares
+    mean = band[:, :: band.shape[1] // count]
+    squares, projected = filled**2 @ mean, windowed(filled)
+    total = np.maximum(squares - projected[..., 0] ** 2, 0) + 1e-12
+    fit, rise = np.zeros(total.shape), np.zeros(total.shape)
+    incomplete = missing.astype(float) @ mean > 1e-9 if missing.any() else False
+    for k, triangle in enumerate(triangles):
+        own = projected[..., 3 * k + 1 : 3 * k + 4]
+        low, high = np.moveaxis(own @ triangle[:, :2], -1, 0)
+        explained = 1 - (squares - (own**2).sum(-1) / window) / total
+        better = (high > low) & (explained > fit) & np.logical_not(incomplete)
+        fit, rise = np.where(better, explained, fit), np.where(better, high - low, rise)
+    return Edges(x[n : x.size - n], np.minimum(fit, 1), rise)
+
+
+@functools.lru_cache(16)
+def _step_kernels(span: tuple[float, float], size: int, widths: tuple[float, ...], reach: float):
+    """A matrix by which profiles give, for each window, their mean and their parts along three
+    orthogonal functions for each width; the heights of the step of these; half the window.
+    """
+    pitch = (span[1] - span[0]) / (size - 1)
     n = max(3, round(reach / pitch))
-    count, u = x.size - 2 * n, np.arange(-n, n + 1) * pitch
+    count, u = size - 2 * n, np.arange(-n, n + 1) * pitch
     triangles, kernels = [], [np.full((u.size, 1), 1 / u.size)]
     for width in widths:
         t = np.clip(u / (2 * width) + 0.5, 0, 1)
@@ -212,28 +249,9 @@ def steps_along(
         triangles.append(np.linalg.inv(triangle).T)
     # All windows and kernels by one product of matrices.
     kernel, place = np.hstack(kernels), np.arange(count)
-    band = np.zeros((x.size, count, kernel.shape[1]))
+    band = np.zeros((size, count, kernel.shape[1]))
     band[place[:, None] + np.arange(u.size), place[:, None]] = kernel
-
-    def windowed(values: np.ndarray, kernels: slice) -> np.ndarray:
-        part = band[..., kernels].reshape(x.size, -1)
-        return (values @ part).reshape(len(values), count, -1)
-
-    missing = np.isnan(profile)
-    filled = np.where(missing, 0.0, profile)
-    filled = filled - filled.mean(1, keepdims=True)  # against rounding in the sums of squares
-    incomplete = windowed(missing.astype(float), slice(1))[..., 0] > 1e-9
-    squares = windowed(filled**2, slice(1))[..., 0]
-    projected = windowed(filled, slice(None))
-    total = np.maximum(squares - projected[..., 0] ** 2, 0) + 1e-12
-    fit, rise = np.zeros(total.shape), np.zeros(total.shape)
-    for k, triangle in enumerate(triangles):
-        own = projected[..., 3 * k + 1 : 3 * k + 4]
-        low, high = np.moveaxis(own @ triangle[:, :2], -1, 0)
-        explained = 1 - (squares - (own**2).sum(-1) / u.size) / total
-        better = (high > low) & (explained > fit) & ~incomplete
-        fit, rise = np.where(better, explained, fit), np.where(better, high - low, rise)
-    return Edges(x[n : x.size - n], np.minimum(fit, 1), rise)
+    return band.reshape(size, -1), triangles, n
 
 
 def best_outline(
@@ -246,21 +264,24 @@ def best_outline(
     0.15 radii off, radii and ratios of the axes are tried in steps of a few per cent. Ellipses far
     from what is `expected` need a better score.
     """
-    radius, score = outline.semi_axes[0], score[::4]
-    direction = (outline.points(RAYS[::4]) - np.asarray(outline.centre)) / radius
+    radius, score = outline.semi_axes[0], score[::3]
+    direction = (outline.points(RAYS[::3]) - np.asarray(outline.centre)) / radius
     best, found = -np.inf, outline
     dx, dy = (c.ravel() for c in np.meshgrid(*[np.linspace(-0.15, 0.15, 7)] * 2))
     sizes, odd = np.linspace(0.82, 1.3, 13), np.zeros(dx.size)
     if expected.centre is not None:
         x, y = np.subtract(expected.centre, outline.centre) / radius
         odd = _ODD * np.minimum(((dx - x) ** 2 + (dy - y) ** 2) / expected.centre_sd**2, 9)
+    usual = np.array(expected.flattening)
     pitch, rays = place[1] - place[0], np.arange(len(score))
     for ratio, angle in [(1.0, 0.0), *product(_RATIOS[1:], np.arange(4) * np.pi / 4)]:
         axes = sizes / np.sqrt(ratio), sizes * np.sqrt(ratio)
         index = np.round((_distance(dx, dy, *axes, angle, direction) - place[0]) / pitch)
         within = (index >= 0) & (index < place.size)
         index = np.clip(index, 0, place.size - 1).astype(int)
-        mean = np.where(within, score[rays, index], 0.0).mean(-1) - odd
+        flat = np.array([np.cos(2 * angle), np.sin(2 * angle)]) * -np.log(ratio) - usual
+        unusual = _ODD * min(float(flat @ flat) / expected.flattening_sd**2, 9.0)
+        mean = np.where(within, score[rays, index], 0.0).mean(-1) - odd - unusual
         size, k = np.unravel_index(np.argmax(mean), mean.shape)
         if mean[size, k] > best:
             best, (a, b) = mean[size, k], (radius * each[size] for each in axes)
@@ -290,37 +311,44 @@ def refine_outline(
 def _fitted(start: Ellipse, points, weights, expected: Expected) -> tuple[Ellipse, float]:
     """An ellipse by robust least squares: points off by more than about 1 % count little."""
     size, middle = start.mean_radius, np.asarray(start.centre)
-    scaled = (points - middle) / size * [1, -1]
-    known, sd, step = np.zeros(5), np.full(5, np.inf), 1e-5 * np.eye(5)
+    points, weights = points[weights > 0], weights[weights > 0]
+    scaled, sixty = (points - middle) / size * [1, -1], max(0, int(0.6 * len(points)) - 1)
+    known, sd = np.zeros(5), np.full(5, np.inf)
+    correlated = _INDEPENDENT / RAYS.size  # the errors of neighbouring rays are
     known[3:], sd[3:] = expected.flattening, expected.flattening_sd
     if expected.centre is not None:
         known[:2] = (np.asarray(expected.centre) - middle) / size * [1, -1]
         sd[:2] = expected.centre_sd
 
     def improved(at, outliers):
+        """Fits from several beginnings at once, and what supports each."""
         normal = np.eye(5)
         for outlier in outliers:
-            off, *aside = (_misses(at + change, scaled) for change in (0, *step))
-            slopes = (np.stack(aside, -1) - off[:, None]) / step[0, 0]
+            off, slopes = _misses(at, scaled)
             share = 1 / (1 + (off / outlier) ** 2) ** 2
             if outlier == _PRECISION:  # least absolute distances
                 share = 1 / (1 + abs(off) / outlier)
-            # Sharp edges scatter less. A tenth: the errors of neighbouring rays are correlated.
-            near = np.sort(abs(off)[weights > 0])
-            scatter = near[: max(1, int(0.6 * near.size))].mean()
-            precision = np.clip(2 * scatter, 0.2 * _PRECISION, _PRECISION)
-            each = 0.1 * weights * share / precision**2
-            normal = slopes.T @ (each[:, None] * slopes) + np.diag(sd**-2.0)
-            towards = slopes.T @ (each * off) + (at - known) * sd**-2.0
-            at = at - np.clip(np.linalg.solve(normal + 1e-6 * np.eye(5), towards), -0.1, 0.1)
-        held = (weights / (1 + (_misses(at, scaled) / 0.01) ** 2)).sum()
-        worth = 0.1 * held - _PRECISION**2 / 0.01**2 * (((at - known) / sd) ** 2).sum()
-        return worth, at, np.linalg.inv(normal)[3:, 3:]
+            # Sharp edges scatter less.
+            near = np.partition(abs(off), sixty, axis=1)[:, : sixty + 1].mean(1, keepdims=True)
+            precision = np.clip(2 * near, 0.2 * _PRECISION, _PRECISION)
+            each = correlated * weights * share / precision**2
+            weighted = each[:, None, :] * slopes
+            normal = weighted @ slopes.swapaxes(1, 2) + np.diag(sd**-2.0)
+            towards = (weighted @ off[..., None])[..., 0] + (at - known) * sd**-2.0
+            change = np.linalg.solve(normal + 1e-6 * np.eye(5), towards[..., None])[..., 0]
+            at = at - np.clip(change, -0.1, 0.1)
+        held = (weights / (1 + (_misses(at, scaled)[0] / 0.01) ** 2)).sum(1)
+        worth = correlated * held - _PRECISION**2 / 0.01**2 * (((at - known) / sd) ** 2).sum(1)
+        return worth, at, normal
 
     # A lid's edge attracts the ellipse: of several beginnings the one that most edges support.
     begin, ends = np.array([0, 0, 0, *start.flattening]), (0.02,) * 3 + (0.01,) * 6
-    begins = begin, improved(begin, [_PRECISION] * 6)[1], np.append(begin[:3], known[3:])
-    _, at, spread = max((improved(b, ends) for b in begins), key=lambda found: found[0])
+    absolute = improved(begin[None], [_PRECISION] * 6)[1][0]
+    worth, fits, normals = improved(
+        np.stack([begin, absolute, np.append(begin[:3], known[3:])]), ends
+    )
+    best = int(np.argmax(worth))
+    at, spread = fits[best], np.linalg.inv(normals[best])[3:, 3:]
     (x, y), grown, flat = middle + size * at[:2] * [1, -1], size * np.exp(at[2]), at[3:]
     flatter, angle = np.hypot(*flat), 0.5 * np.arctan2(flat[1], flat[0])
     axes = grown * np.exp(0.5 * flatter), grown * np.exp(-0.5 * flatter)
@@ -328,14 +356,28 @@ def _fitted(start: Ellipse, points, weights, expected: Expected) -> tuple[Ellips
 
 
 def _misses(p, points):
-    """Distances of points (right, up) from the ellipse of centre, logarithm of the mean radius and
-    flattening, relative to it.
+    """Distances of points (right, up) from ellipses of centre, logarithm of the mean radius and
+    flattening, relative to the ellipse, and their derivatives by these five.
     """
-    flat = np.hypot(p[3], p[4])
-    even, uneven = np.cosh(flat / 2), np.sinh(flat / 2) / max(flat, 1e-12)
-    u, v = (points - p[:2]).T
-    along = even * u - uneven * (p[3] * u + p[4] * v), even * v - uneven * (p[4] * u - p[3] * v)
-    return np.exp(-p[2]) * np.hypot(*along) - 1
+    x, y, size, p3, p4 = np.moveaxis(p[..., None], -2, 0)
+    flat = np.maximum(np.hypot(p3, p4), 1e-4)
+    even, uneven = np.cosh(flat / 2), np.sinh(flat / 2) / flat
+    bend, half = (even / 2 - uneven) / flat**2, uneven / 2
+    u, v = points[:, 0] - x, points[:, 1] - y
+    turned, across = p3 * u + p4 * v, p4 * u - p3 * v
+    a, b = even * u - uneven * turned, even * v - uneven * across
+    away = np.exp(-size) * np.hypot(a, b)
+    a, b = (np.exp(-2 * size) * part / (away + 1e-12) for part in (a, b))
+    slopes = [
+        -a * (even - uneven * p3) + b * uneven * p4,
+        a * uneven * p4 - b * (even + uneven * p3),
+        -away,
+        p3 * (a * (half * u - bend * turned) + b * (half * v - bend * across))
+        - uneven * (a * u - b * v),
+        p4 * (a * (half * u - bend * turned) + b * (half * v - bend * across))
+        - uneven * (a * v + b * u),
+    ]
+    return away - 1, np.stack(slopes, -2)
 
 
 def _distance(dx, dy, a, b, angle, direction):
@@ -352,21 +394,23 @@ def _distance(dx, dy, a, b, angle, direction):
 
 
 def _directions(brightness):
-    """Direction of the gradient of smoothed log brightness, cosine minus i sine; less if weak."""
+    """Cosine and sine of the gradient of smoothed log brightness, less if it is weak."""
     floor = 0.02 * np.quantile(brightness, 0.98) + 1e-6
     smooth = ndimage.gaussian_filter(np.log(np.maximum(brightness, 0) + floor), 1.5)
     down, right = np.gradient(smooth)
-    return ((right - 1j * down) / (np.hypot(down, right) + _WEAK)).astype(np.complex64)
+    return np.stack([right, down]).astype(np.float32) / (np.hypot(down, right) + _WEAK)
 
 
-def _votes(transformed, shape, radius: float, sideways: float):
-    """About each pixel the mean over a ring of the cosine between its normal and the gradient."""
-    n = int(np.ceil(radius + 5))
+@functools.lru_cache(12)
+def _ring_kernels(shape: tuple[int, ...], radii: tuple[float, ...], sideways: float):
+    """Transformed kernels (radii, 2, rows, columns) that give, about each pixel, the mean over a
+    ring of the cosine between its normal and a gradient of these two components.
+    """
+    n, kernels = int(np.ceil(radii[-1] + 5)), []
     y, x = np.mgrid[-n : n + 1, -n : n + 1]
     away = np.hypot(x, y) + 1e-9
-    ring = np.exp(-0.5 * ((away - radius) / 2) ** 2) * (1 - sideways * (y / away) ** 2)
-    # This is a correlation, and the kernel is odd: its mirror image is its negative.
-    kernel = (-ring / ring.sum() * (x + 1j * y) / away).astype(np.complex64)
-    size = transformed.shape
-    summed = np.real(np.asarray(fft.ifft2(transformed * fft.fft2(kernel, size))))
-    return summed[n : n + shape[0], n : n + shape[1]]
+    for radius in radii:
+        ring = np.exp(-0.5 * ((away - radius) / 2) ** 2) * (1 - sideways * (y / away) ** 2)
+        # This is a correlation, and the kernel is odd: its mirror image is its negative.
+        kernels.append(-ring / ring.sum() / away * np.stack([x, y]))
+    return fft.rfft2(np.array(kernels, np.float32), shape)

@@ -1,5 +1,6 @@
 """Outlines of limbus and pupil in a photograph, and the confidence in each."""
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +17,7 @@ from irisjax.photo.edges import (
     refine_outline,
 )
 from irisjax.photo.photograph import Ellipse, Photograph
-from irisjax.photo.pose import FLATTER, LIMBUS_FLAT, PUPIL_OVAL
+from irisjax.photo.pose import FLATTER, LIMBUS_FLAT, LIMBUS_OVAL, PUPIL_OVAL
 
 MIN_CONFIDENCE = 0.5
 """Confidence below which an outline is more likely wrong than right, see `Boundaries`."""
@@ -30,12 +31,12 @@ _PUPIL_WIDTHS = (0.02, 0.05, 0.1)  # half widths of the rise, relative to the ra
 _PUPIL_SPAN = (0.8, 1.15)
 _EVEN = np.ones(RAYS.size)  # weights of the rays
 _MISFIT = 0.02  # difference of irides from the fitted rise, relative to the rise
-_LONG = 1000  # px along the long side of the copy in which eyes are searched
-_RING_LONG = 480  # the same of the copy in which rings are searched
+_LONG = 640  # px along the long side of the copy in which eyes are searched
+_RING_LONG = 360  # the same of the copy in which rings are searched
 _JUDGED = 60.0  # px of the limbus in the copy in which pairs are judged
 _PUPIL_RADIUS = 40.0  # px of the limbus in the copy in which pupils are searched
 _SMALLEST = 40  # long side over the radius of the smallest iris
-_CANDIDATES = 6
+_STARTS, _CANDIDATES = 10, 3  # circles that are weighed, and those of them that are refined
 _SURE = 0.9  # worth of a pair of outlines above which the search ends
 _WIDE = 0.68  # pupil over limbus above which the pair is less plausible
 _TRUSTED = 0.5  # support above which a pupil is used to find the limbus
@@ -170,7 +171,7 @@ def find_boundaries(
     fit = None if limbus is None else FittedEllipse(limbus, 1.0, 0.0)
     inner = None if pupil is None else PupilEdge(pupil, 1.0)
     if fit and inner:
-        margin = beginning_of(photo, fit.outline, inner).margin
+        margin = beginning_of(photo, fit, inner).margin
         width = limbus_width_of(photo, fit.outline)
         return Boundaries(fit.outline, inner.outline, 1.0, 1.0, margin, width)
     scale = min(1.0, _LONG / max(photo.shape))
@@ -191,43 +192,50 @@ def find_boundaries(
     return _finished(photo, *near, fit, inner, len(eyes))
 
 
-def pupil_within(photo: Photograph, limbus: Ellipse, coarse: bool = True) -> PupilEdge:
-    """Find the pupil within a limbus.
-
-    Unless the search is `coarse`, a sharp edge is placed half-way from black to bright, whatever
-    the blur; if the brightness rises slowly, the outline is placed where the rise begins.
-    """
-    pixels, cut_off, outline, back = _part_about(photo, limbus, 1.1, ROUGH)
-    radius, picture = outline.semi_axes[0], pixels.mean(-1)
-    relative, ceiling = _within_limbus(picture, outline)
-    rings = np.empty((0, 4))
-    if ceiling is not None:
-        picture = np.minimum(picture, ceiling)
-        scale = min(1.0, _PUPIL_RADIUS / radius)
-        copy = edges.reduce_picture(picture[..., None], scale)[..., 0]
-        sizes = 0.13 * radius * scale, 0.8 * radius * scale
-        rings = edges.find_rings(copy, sizes, 6, sideways=0.2)
-        rings[:, :2] = (rings[:, :2] + 0.5) / scale - 0.5
-        rings[:, 2] /= scale
-        off, share = outline.relative_radius(*rings[:, :2].T), rings[:, 2] / radius
-        possible = (_PUPIL_SHARE[0] < share) & (share < _PUPIL_SHARE[1])
-        rings = rings[possible & (off < np.minimum(0.3, 1.05 - share))]
-    circles = [Ellipse((x, y), (r, r)) for x, y, r, _ in rings]
-    dark = np.array([_darkness(picture, relative, circle) for circle in circles])
-    usual = np.array([_usual_place(outline, circle) for circle in circles])
-    worth = rings[:, 3] * dark * usual
-    if not circles:  # in place of a pupil that is not found
-        a, b = limbus.semi_axes
-        return PupilEdge(limbus._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
-    picture = _first_rise(picture, ceiling)
+def pupil_within(photo: Photograph, limbus: FittedEllipse) -> PupilEdge:
+    """Find the pupil within a limbus, which suggests how flat it is if its edges are seen."""
+    part = _part_about(photo, limbus.outline, 1.1, ROUGH)
+    picture, outline, back = part[0].mean(-1), *part[2:]
+    ceiling = _ceiling(picture, outline)
+    if ceiling is None or not (circles := _dark_rings(np.minimum(picture, ceiling), outline)):
+        a, b = limbus.outline.semi_axes  # in place of a pupil that is not found
+        return PupilEdge(limbus.outline._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
+    first = _first_rise(np.minimum(picture, ceiling), ceiling)
     # A reflection in the pupil may leave a smaller dark circle beside its middle.
-    best = circles[int(np.argmax(worth))]
-    middle = 0.5 * np.add(best.centre, outline.centre)
-    starts = best, best._replace(centre=(middle[0], middle[1]))
-    fits = [_pupil_near(picture, cut_off, circle) for circle in starts]
+    middle = 0.5 * np.add(circles[0].centre, outline.centre)
+    starts = circles[0], circles[0]._replace(centre=(middle[0], middle[1]))
+    expected = _expected_pupil(limbus)
+    fits = [_pupil_near(first, part[1], circle, expected) for circle in starts]
     fit = max(fits, key=lambda fit: fit.support * _usual_place(outline, fit.outline))
-    found = PupilEdge(back(fit.outline), fit.support, flattening_sd=fit.flattening_sd)
-    return found if coarse or not fit.support else beginning_of(photo, limbus, found)
+    return PupilEdge(back(fit.outline), fit.support, flattening_sd=fit.flattening_sd)
+
+
+def _dark_rings(picture, limbus: Ellipse) -> list[Ellipse]:
+    """Find circles within a limbus that may be its pupil, by votes, the most likely first."""
+    radius = limbus.semi_axes[0]
+    scale = min(1.0, _PUPIL_RADIUS / radius)
+    copy = edges.reduce_picture(picture[..., None], scale)[..., 0]
+    sizes = 0.13 * radius * scale, 0.8 * radius * scale
+    rings = edges.find_rings(copy, sizes, 6, sideways=0.2)
+    rings[:, :2] = (rings[:, :2] + 0.5) / scale - 0.5
+    rings[:, 2] /= scale
+    off, share = limbus.relative_radius(*rings[:, :2].T), rings[:, 2] / radius
+    possible = (_PUPIL_SHARE[0] < share) & (share < _PUPIL_SHARE[1])
+    found = list[tuple[float, Ellipse]]()
+    for x, y, r, votes in rings[possible & (off < np.minimum(0.3, 1.05 - share))]:
+        circle = Ellipse((x, y), (r, r))
+        dark, enclosed = _hole(picture, circle)
+        found.append((votes * dark * (0.3 + enclosed) * _usual_place(limbus, circle), circle))
+    return [circle for _, circle in sorted(found, key=lambda each: -each[0])]
+
+
+def _expected_pupil(limbus: FittedEllipse) -> edges.Expected:
+    """The flattening of the pupil, by that of its limbus."""
+    if limbus.support <= _TRUSTED:
+        return edges.Expected(flattening_sd=0.07)
+    flat = (limbus.outline.flattening - np.array([LIMBUS_FLAT, 0.0])) / FLATTER
+    sd = np.hypot(PUPIL_OVAL, np.hypot(LIMBUS_OVAL, limbus.flattening_sd) / FLATTER)
+    return edges.Expected((flat[0], flat[1]), float(sd))
 
 
 def _usual_place(limbus: Ellipse, pupil: Ellipse) -> float:
@@ -237,35 +245,38 @@ def _usual_place(limbus: Ellipse, pupil: Ellipse) -> float:
     return float(np.exp(-0.5 * (aside / _FAR_ASIDE) ** 2))
 
 
-def _pupil_near(picture, cut_off, circle: Ellipse) -> FittedEllipse:
+def _pupil_near(picture, cut_off, circle: Ellipse, expected: edges.Expected) -> FittedEllipse:
     """Fit a pupil near a circle."""
     span = (0.5, 1.65)
     steps = edges.steps_along(
         _profile(picture, cut_off, circle, span, 93), span, _PUPIL_WIDTHS[1:], 0.2
     )
-    fit = FittedEllipse(edges.best_outline(circle, steps.place, steps.score()), 0.0, 0.1)
-    span, near_frontal = (0.7, 1.3), edges.Expected(flattening_sd=0.07)
+    fit = FittedEllipse(edges.best_outline(circle, steps.place, steps.score(), expected), 0.0, 0.1)
+    span = (0.7, 1.3)
     for near in (0.12, 0.08):
-        profile = _profile(picture, cut_off, fit.outline, span, 121)
+        profile = _profile(picture, cut_off, fit.outline, span, 81)
         steps = edges.steps_along(profile, span, _PUPIL_WIDTHS, 0.15)
-        fit = refine_outline(fit.outline, *steps.strongest(near), _EVEN, near_frontal)
+        fit = refine_outline(fit.outline, *steps.strongest(near), _EVEN, expected)
     return fit
 
 
-def beginning_of(photo: Photograph, limbus: Ellipse, near: PupilEdge) -> PupilEdge:
+def beginning_of(photo: Photograph, limbus: FittedEllipse, near: PupilEdge) -> PupilEdge:
     """Move an outline to where the iris begins, and measure the width of its margin, if enough of
     it is seen.
+
+    A sharp edge is placed half-way from black to bright, whatever the blur; if the brightness rises
+    slowly, the outline is placed where the rise begins.
     """
-    pixels, _, outline, _ = _part_about(photo, limbus, 1.1, ROUGH)
-    _, ceiling = _within_limbus(pixels.mean(-1), outline)
+    pixels, _, outline, _ = _part_about(photo, limbus.outline, 1.1, ROUGH)
+    ceiling = _ceiling(pixels.mean(-1), outline)
     pixels, cut_off, circle, back = _part_about(photo, near.outline, 1.5, FINE)
     picture, span = np.clip(pixels.mean(-1), 0, ceiling), (0.7, 1.3)
     smooth = ndimage.gaussian_filter(picture, 0.01 * circle.semi_axes[0])  # against noise
-    held = 0 * _EVEN
+    held, expected = 0 * _EVEN, _expected_pupil(limbus)
     for reach in (0.1, 0.08):
         profile = _profile(_first_rise(smooth, ceiling), cut_off, circle, span, 241)
         held, place = edges.steps_along(profile, span, _PUPIL_WIDTHS, 0.15).strongest(reach)
-        circle = refine_outline(circle, held, place, _EVEN).outline
+        circle = refine_outline(circle, held, place, _EVEN, expected).outline
     good = _profile(picture, cut_off, circle, _PUPIL_SPAN, 241)[held > 0.3]
     if len(good) < 12 or not np.isfinite(good).any(0).all():
         return near._replace(outline=back(circle))
@@ -338,8 +349,13 @@ def limbus_width_of(photo: Photograph, limbus: Ellipse) -> float | None:
 def _eyes(photo: Photograph, limbus: FittedEllipse | None, pupil: PupilEdge | None, every: bool):
     """The eyes of a picture, the one with the most evidence first."""
     found = list[Pair]()
-    for start in [limbus.outline] if limbus else _starts(photo.pixels.mean(-1), pupil):
-        pair = _paired(photo, start, limbus, pupil)
+    starts = [limbus.outline] if limbus else _starts(photo.pixels.mean(-1), pupil)
+    rough = [_rough_pair(photo, start, limbus, pupil) for start in starts]
+    rough = sorted(rough, key=_promise, reverse=True)
+    for near in rough[: 2 * _CANDIDATES if every else _CANDIDATES]:
+        if found and not every and _promise(near) < 0.01 * _promise(found[0]):
+            break
+        pair = _refined(photo, near, limbus, pupil)
         outline = pair.limbus.outline
         if not _within(outline, photo.shape) or any(
             _alike(outline, p.limbus.outline) for p in found
@@ -358,15 +374,36 @@ def _eyes(photo: Photograph, limbus: FittedEllipse | None, pupil: PupilEdge | No
     return eyes
 
 
-def _paired(
+def _rough_pair(
     photo: Photograph, start: Ellipse, limbus: FittedEllipse | None, pupil: PupilEdge | None
 ) -> Pair:
-    """Find the outlines near a circle, and the evidence for them."""
-    inner, fit = pupil or pupil_within(photo, start), limbus
+    """A circle as limbus with the circle within that is most likely the pupil."""
+    fit = limbus or FittedEllipse(start, _TRUSTED, 0.0)
+    if pupil is None:
+        pixels, _, outline, back = _part_about(photo, start, 1.1, _PUPIL_RADIUS)
+        picture = pixels.mean(-1)
+        ceiling = _ceiling(picture, outline)
+        circles = _dark_rings(np.minimum(picture, ceiling), outline) if ceiling else []
+        a, b = start.semi_axes
+        pupil = PupilEdge(start._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
+        if circles:
+            pupil = PupilEdge(back(circles[0]), _TRUSTED, flattening_sd=0.1)
+    return _weighed(photo, fit, pupil)
+
+
+def _promise(pair: Pair) -> float:
+    return float(np.sqrt(np.prod(_probabilities(pair.evidence))))
+
+
+def _refined(
+    photo: Photograph, near: Pair, limbus: FittedEllipse | None, pupil: PupilEdge | None
+) -> Pair:
+    """Fit the outlines near a rough pair, and weigh the evidence for them."""
+    inner, fit = pupil or pupil_within(photo, near.limbus), limbus
     if fit is None:
-        fit = limbus_near(photo, start, inner)
+        fit = limbus_near(photo, near.limbus.outline, inner)
         if pupil is None:  # within the better limbus, which may be another
-            again = pupil_within(photo, fit.outline)
+            again = pupil_within(photo, fit)
             if not _alike(again.outline, inner.outline, 0.05):
                 fit = limbus_near(photo, fit.outline, again)
             inner = again
@@ -387,10 +424,8 @@ def _finished(
     eyes: int,
 ) -> Boundaries:
     """Measure a pair on the whole photograph, and keep what was given."""
-    fit = limbus or limbus_near(photo, near.outline, pupil or near_pupil, coarse=False)
-    inner = pupil or pupil_within(photo, fit.outline, coarse=False)
-    if not limbus and not pupil:
-        fit = limbus_near(photo, fit.outline, inner, coarse=False)
+    inner = pupil or (beginning_of(photo, near, near_pupil) if near_pupil.support else near_pupil)
+    fit = limbus or limbus_near(photo, near.outline, inner, coarse=False)
     evidence = _evidence(photo, fit, inner)
     limbus_sure, pupil_sure = _probabilities(evidence)
     return Boundaries(
@@ -398,7 +433,7 @@ def _finished(
         inner.outline,
         1.0 if limbus else limbus_sure,
         1.0 if pupil else pupil_sure,
-        beginning_of(photo, fit.outline, inner).margin if pupil else inner.margin,
+        beginning_of(photo, fit, inner).margin if pupil else inner.margin,
         limbus_width_of(photo, fit.outline),
         (fit.flattening_sd, inner.flattening_sd),
         eyes,
@@ -422,15 +457,15 @@ def _evidence(photo: Photograph, limbus: FittedEllipse, pupil: PupilEdge) -> Evi
     (picture, redness), circle, _ = _limbus_part(photo, outer, _JUDGED)
     span, steps = (0.02, 1.4), 70
     place = np.linspace(*span, steps)
-    seen = np.ma.masked_invalid(along_rays(picture, circle, span, steps))
+    seen = along_rays(picture, circle, span, steps)
     right = (circle.points(RAYS)[:, 0] - circle.centre[0]) / circle.mean_radius
     sides = [sign * right > _SIDE for sign in (-1, 1)]
     rim, beyond = (place > 0.8) & (place < 0.97), (place > 1.08) & (place < 1.25)
-    rises = [_log_ratio(seen[s][:, beyond], seen[s][:, rim].compressed(), 0.3) for s in sides]
+    rises = [_log_ratio(seen[s][:, beyond], seen[s][:, rim], 0.3) for s in sides]
     rises = np.clip(np.array(rises) / 1.5, 0, 1)
     colourless = 1.0
     if redness is not None:
-        tint = np.ma.masked_invalid(along_rays(redness, circle, span, steps))
+        tint = along_rays(redness, circle, span, steps)
         least = min(_middle(tint[s][:, beyond], 9.0) for s in sides)
         colourless = float(special.expit((0.7 - least) / 0.12))
     scale = circle.semi_axes[0] / outer.semi_axes[0]
@@ -458,13 +493,13 @@ def _hole(picture, hole: Ellipse) -> tuple[float, float]:
     """How much darker an ellipse is inside, where nothing is mirrored, than around it (from 0.4 to
     0.9 of the brightness around it), and the share of rays on which it is brighter around it.
     """
-    profile = np.ma.masked_invalid(along_rays(picture, hole, (0.05, 1.4), 55))
-    place = np.linspace(0.05, 1.4, 55)
-    inside = profile[:, place < 0.85].compressed()
+    place = np.linspace(0.05, 1.4, 41)
+    profile = along_rays(picture, hole, (0.05, 1.4), place.size)
+    inside = _seen(profile[:, place < 0.85])
     if not inside.size:
         return 0.0, 0.0
     deep = float(np.quantile(inside, 0.25))
-    around = np.ma.filled(np.ma.median(profile[:, place > 1.12], axis=1), deep)
+    around = np.nan_to_num(_median(profile[:, place > 1.12], 1), nan=deep)
     iris = float(np.median(around))
     dark = np.clip((1 - deep / (iris + 1e-9) - 0.4) / 0.5, 0, 1)
     share = np.mean(around > deep + 0.35 * (iris - deep))
@@ -473,25 +508,49 @@ def _hole(picture, hole: Ellipse) -> tuple[float, float]:
 
 def _radial(seen, place, pitch: float) -> float:
     """Contrast of neighbours along circles over that in all directions, from 1/4 to 1/2."""
-    if seen.shape[1] < 4:
+    if seen.shape[1] < 4 or not np.isfinite(seen).any():
         return 0.0
-    logs = np.ma.log(seen + 0.02 * (np.ma.median(seen) + 1e-3))
-    logs = logs - np.ma.median(logs, axis=0)
-    around = np.ma.median(abs(np.diff(logs, axis=0)).mean(0) / (place * (RAYS[1] - RAYS[0])))
-    along = np.ma.median(abs(np.diff(logs, axis=1)).mean(0)) / pitch
-    share = around / (around + along + 1e-9)
-    return float(np.clip((np.ma.filled(share, 0.0) - 0.25) / 0.25, 0, 1))
+    logs = np.log(seen + 0.02 * (_median(seen) + 1e-3))
+    logs = logs - _median(logs, 0)
+    each = (_mean(abs(np.diff(logs, axis=axis)), axis) for axis in (0, 1))
+    around, along = next(each) / (place * (RAYS[1] - RAYS[0])), next(each)
+    around, along = _median(around), _median(along) / pitch
+    share = np.nan_to_num(around / (around + along + 1e-9))
+    return float(np.clip((share - 0.25) / 0.25, 0, 1))
 
 
 def _log_ratio(beyond, inside, quantile: float) -> float:
     """Logarithm of the middle of one part over a quantile of the other; 0 if one is not seen."""
-    if not (beyond.count() and inside.size):
+    beyond, inside = _seen(beyond), _seen(inside)
+    if not (beyond.size and inside.size):
         return 0.0
-    return float(np.log((np.ma.median(beyond) + 1e-3) / (np.quantile(inside, quantile) + 1e-3)))
+    return float(np.log((np.median(beyond) + 1e-3) / (np.quantile(inside, quantile) + 1e-3)))
+
+
+def _seen(values):
+    """The values that are numbers: those in the picture."""
+    return values[np.isfinite(values)]
 
 
 def _middle(values, missing: float) -> float:
-    return float(np.ma.median(values)) if values.count() else missing
+    seen = _seen(values)
+    return float(np.median(seen)) if seen.size else missing
+
+
+def _median(values, axis: int | None = None):
+    """Median of the values that are numbers; NaN if there is none."""
+    if not np.isnan(values).any():
+        return np.median(values, axis)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.nanmedian(values, axis)
+
+
+def _mean(values, axis: int):
+    there = np.isfinite(values)
+    return np.where(there, values, 0.0).sum(axis) / np.where(
+        there.any(axis), there.sum(axis), np.nan
+    )
 
 
 def _alike(one: Ellipse, other: Ellipse, within: float = 0.01) -> bool:
@@ -552,7 +611,7 @@ def _starts(brightness, pupil: PupilEdge | None) -> list[Ellipse]:
         circles = [c for c in circles if _plausible(c, hole) > 0.5]
         middle, size = hole.centre, hole.mean_radius
         circles += [Ellipse(middle, (size / s, size / s)) for s in (0.25, 0.35, 0.5)]
-    return circles[:_CANDIDATES]
+    return circles[:_STARTS]
 
 
 def _within(outline: Ellipse, shape) -> bool:
@@ -575,9 +634,9 @@ def _plausible(limbus: Ellipse, pupil: Ellipse) -> float:
 
 def _part_about(photo: Photograph, outline: Ellipse, margin: float, radius: float):
     """`cut_around` of the pixels, with the share of saturated ones as second."""
-    layers = np.dstack([photo.pixels, photo.saturated])
-    layers, moved, back = cut_around(layers, outline, margin, radius)
-    return layers[..., :3], layers[..., 3], moved, back
+    pixels, moved, back = cut_around(photo.pixels, outline, margin, radius)
+    cut_off, *_ = cut_around(photo.saturated[..., None].astype(np.float32), outline, margin, radius)
+    return pixels, cut_off[..., 0], moved, back
 
 
 def _profile(picture, cut_off, circle: Ellipse, span, steps: int):
@@ -593,11 +652,10 @@ def _first_rise(picture, ceiling: float | None):
     return np.log(np.maximum(picture, 0) + 0.04 * (ceiling or 1.0))
 
 
-def _within_limbus(picture, limbus: Ellipse) -> tuple[np.ndarray, float | None]:
-    """Relative radii, and the brightness that only highlights exceed; `None` out of the picture."""
-    relative = limbus.radii(picture.shape)
-    within = picture[relative < 0.9]
-    return relative, float(1.5 * np.quantile(within, 0.75) + 1e-9) if within.size else None
+def _ceiling(picture, limbus: Ellipse) -> float | None:
+    """Brightness within a limbus that only highlights exceed; `None` out of the picture."""
+    within = picture[limbus.radii(picture.shape) < 0.9]
+    return float(1.5 * np.quantile(within, 0.75) + 1e-9) if within.size else None
 
 
 def _limbus_part(photo: Photograph, outline: Ellipse, radius: float):
@@ -615,8 +673,8 @@ def _limbus_part(photo: Photograph, outline: Ellipse, radius: float):
     right = (moved.points(RAYS)[:, 0] - moved.centre[0]) / moved.semi_axes[0]
 
     def contrast(channel) -> float:
-        inside, beyond = (along_rays(channel, moved, s, 6) for s in ((0.75, 0.92), (1.08, 1.25)))
-        rise = np.ma.masked_invalid(beyond.mean(1) - inside.mean(1))
+        profile = along_rays(channel, moved, (0.75, 1.25), 16)
+        rise = profile[:, -6:].mean(1) - profile[:, :6].mean(1)
         return min(_middle(rise[sign * right > _SIDE], 9.0) for sign in (-1, 1))
 
     best = max(range(3), key=lambda k: contrast(logs[..., k]))
@@ -630,7 +688,7 @@ def _beginning(x, brightness, pixel: float) -> tuple[float, float]:
     Fitted are a step, the beginning of a smoothstep, or both at one place if that is better by one
     log likelihood (Akaike), and a line behind; the width of the Gaussian is known to a factor.
     """
-    node, weight = np.polynomial.legendre.leggauss(32)
+    node, weight = np.polynomial.legendre.leggauss(16)
     node = (node + 1) / 2
     weight = 3 * weight * node * (1 - node)  # a smoothstep is as many steps as its slope says
 
@@ -651,7 +709,9 @@ def _beginning(x, brightness, pixel: float) -> tuple[float, float]:
 
     def fit(start, sharp, soft):
         scale, kinds = [0.01, 0.01, 1.0], (sharp, soft)
-        found = optimize.least_squares(misfit, start, bounds=bounds, x_scale=scale, args=kinds)
+        found = optimize.least_squares(
+            misfit, start, bounds=bounds, x_scale=scale, args=kinds, ftol=1e-5, xtol=1e-5
+        )
         rises = parts(found.x, sharp, soft)[1][3:]
         share = rises[-1] / (rises.sum() + 1e-30) if soft else 0.0
         return found.cost + (sharp and soft), float(found.x[0]), float(share * found.x[1])
@@ -661,16 +721,6 @@ def _beginning(x, brightness, pixel: float) -> tuple[float, float]:
     fits = [fit([1.0, 0.05, 0.0], True, False), fit([1.0, 0.05, 0.0], True, True)]
     fits += [fit([1 - width / 2, width, 0.0], False, True) for width in (0.04, 0.1)]
     return min(fits)[1:]
-
-
-def _darkness(picture, relative, circle: Ellipse) -> float:
-    """How much darker a circle is inside than the iris around it, 0 to 1."""
-    own = circle.radii(picture.shape)
-    within, beside = own < 0.9, (own > 1.1) & (own < 1.6) & (relative < 0.95)
-    if not within.any() or not beside.any():
-        return 0.0
-    inside, outside = np.median(picture[within]), np.median(picture[beside])
-    return float(np.clip(1 - inside / (outside + 1e-9), 0, 1))
 
 
 def _half_way(profile, steps: edges.Edges, white, near: float):
