@@ -26,6 +26,12 @@ _STREAK, _STREAK_AROUND = 0.004, 0.03  # widths of a streak and of its surroundi
 _SHORTEST, _WIDEST = 0.04, 0.035  # crypts, which are as dark, are wider
 _CLEAR = 0.025, 0.05  # encoded contrast
 _ISLAND = 0.02  # share of the iris below which a separate part is dropped
+# Wide mirror images:
+_RINGS = 24  # within the limbus
+_LEAST_SCATTER = 0.025  # of an encoded channel
+_BRIGHTER = 0.12, 0.18  # least encoded differences of luminance, of white ones and of bluish ones
+_STRANGE = 3.0, 1.5  # differences in units of the usual scatter, of seeds and of what is beside
+_FIBRES, _WIDE = 0.007, 0.015  # smoothing; least radius; of the picture _SEEN_AROUND the limbus
 # The mirror image of the face:
 _FACE_ANGLE = 90.0  # degrees from the eye's axis beyond which a mirrored line ends on the face
 _FACE_SHARE = 0.1  # share of a pixel's light above which the mirror image hides the iris
@@ -70,6 +76,7 @@ class Part(NamedTuple):
         lids = find_lids(self.pixels, self.limbus, pupil)
         ring = self.limbus.mask(self.outside.shape) & ~pupil.mask(self.outside.shape)
         covered = find_highlights(self.pixels, self.saturated & ring, ring)
+        covered |= find_reflections(self.pixels, self.limbus, ring & ~lids)
         covered |= lids | find_lashes(self.pixels, self.limbus, lids)
         clear = ring & ~covered & ~self.outside
         clear &= ~find_lash_shadows(self.pixels, self.limbus, lids, clear)
@@ -174,6 +181,44 @@ def find_highlights(pixels: Colours, saturated: Mask, iris: Mask) -> Mask:
     found &= away <= max(2.0, 0.03 * size)
     found = _grown(found, max(1, size // 200))
     return (part.enlarged(found) | saturated) & iris
+
+
+def find_reflections(pixels: Colours, limbus: Ellipse, iris: Mask) -> Mask:
+    """Find wide mirror images that are not burnt out: of a window, a soft box, the sky.
+
+    They add light to the iris: white, or bluer than the iris wherever they do not take light from
+    it. Each pixel is compared with the medians and scatters of its channels at its radius, where a
+    ring of another colour is usual. A sector of a much paler colour looks the same and is marked.
+    """
+    if not iris.any():
+        return np.zeros_like(iris)
+    part, radius, small = _around_limbus(pixels, limbus)
+    counted = part.reduced(iris) > 0.9
+    if not counted.any():
+        return np.zeros_like(iris)
+    size, ring = max(radius.shape), (radius * _RINGS).astype(int)
+    # Fibres are as bright as some reflections, but not as wide.
+    sigma = _FIBRES * size
+    encoded = [masked_mean(c, counted, sigma) for c in np.moveaxis(_encoded(small), -1, 0)]
+    encoded = np.stack(encoded, -1)
+    strange, usual = np.zeros(radius.shape), np.zeros_like(small)
+    for k in np.unique(ring[counted]):
+        known, at = encoded[counted & (ring == k)], ring == k
+        usual[at] = np.median(known, 0)
+        scatter = np.maximum(stats.median_abs_deviation(known, scale=_NORMAL), _LEAST_SCATTER)
+        strange[at] = ((encoded[at] - usual[at]) / scatter).max(-1)
+    excess = (encoded - usual) @ LUMINANCE_WEIGHTS
+    more = encoded**2.2 - usual**2.2
+    most = np.maximum(more.max(-1), 1e-6)
+    white = np.ptp(more, axis=-1) < 0.6 * most
+    sky = (more.argmax(-1) == 2) & (more.min(-1) > -0.15 * most)
+    seeds = (white & (excess > _BRIGHTER[0])) | (sky & (excess > _BRIGHTER[1]))
+    seeds &= counted & (strange > _STRANGE[0])
+    seeds = morphology.opening(seeds, morphology.disk(max(1, round(_WIDE * size))))
+    glow = counted & (white | sky) & (excess > _BRIGHTER[0] / 3) & (strange > _STRANGE[1])
+    found = filters.apply_hysteresis_threshold((glow | seeds).astype(np.uint8) + seeds, 0.5, 1.5)
+    found &= np.asarray(ndimage.distance_transform_edt(~seeds)) <= max(2.0, 0.02 * size)
+    return part.enlarged(_grown(found, max(1, size // 200))) & iris
 
 
 def find_lashes(pixels: Colours, limbus: Ellipse, lids: Mask) -> Mask:

@@ -24,6 +24,7 @@ from skimage.transform import downscale_local_mean, resize
 from irisjax.numerics.checks import Range
 from irisjax.numerics.interpolation import chebyshev
 from irisjax.numerics.portions import by_rows, in_portions
+from irisjax.photo.filling import fill_by_texture
 from irisjax.photo.photograph import Brightness, Colours, Mask
 from irisjax.photo.pigments import concentrations_of, iris_of_concentrations
 from irisjax.photo.texture import MAP_SHAPE, Unrefracted, fill_holes
@@ -57,6 +58,7 @@ _NOISE = 0.006  # least standard deviation of an encoded channel: rounding, JPEG
 _POWER, _DARK = 1 / 2.4, 1e-3  # of the encoding in which errors are alike, and its straight part
 _LONGEST, _DAMPING = 1.5, 1e-3  # longest step of a logarithm; damping of the first one
 _ENOUGH = 0.015  # RMS error of the encoded colours at which no other exposure is wanted
+_BRIGHTNESS = 6.0  # weight of the mean of the channels' errors beside their own
 _COLOURS = 9  # logarithm to base 2 of the number of colours at which the search begins
 _ROWS, _ROWS_COARSEST = 1 << 13, 1 << 10  # pixels solved at a time
 _MARGIN = 0.7  # of the logarithms, beyond those found, for the table of all levels
@@ -205,21 +207,27 @@ def colour_iris(
         filled = fill_holes(laid.pixels, ~laid.valid)
         return np.stack([laid.to_polar(c, cells) for c in np.moveaxis(filled, -1, 0)])
 
+    hidden = laid.to_polar(laid.valid.astype(np.float32), cells) < 0.5
     logs = polar(found.logs)
-    shown = laid.to_polar(laid.valid.astype(np.float32), cells)
     middle = np.median(found.logs[known], axis=0)
     iris = _moved(iris, np.exp(middle))
-    stroma, eumelanin, pheomelanin = (jnp.asarray(m) for m in np.exp(logs - middle[:, None, None]))
-    depth = stroma * iris.stroma_thickness
-    maps = IrisMaps(relief=relief, stroma_depth=depth, eumelanin=eumelanin, pheomelanin=pheomelanin)
+
+    def maps_of(logs: np.ndarray, residual: np.ndarray | None = None) -> IrisMaps:
+        stroma, *melanins = map(jnp.asarray, np.exp(logs - middle[:, None, None]))
+        held: dict[str, Any] = dict(zip(NAMES[1:], melanins, strict=True))
+        if residual is not None:
+            held["residual"] = jnp.asarray(np.exp(np.moveaxis(residual, 0, -1)))
+        return IrisMaps(relief=relief, stroma_depth=stroma * iris.stroma_thickness, **held)
+
     # What the maps themselves leave, after all interpolation.
-    made = scene.replace(iris=iris, maps=maps)
+    made = scene.replace(iris=iris, maps=maps_of(logs))
     texels = picture.texture(view, made)
     lit = picture.LitView(jnp.zeros((3, known.size)), shone)
     drawn = np.asarray(picture.shade(view, texels, lit, picture.respond(made)))
     ratio = np.where(known[..., None], target / gain / np.maximum(drawn, 1e-9), 1.0)
     residual = polar(np.log(np.clip(ratio, KEPT.low, KEPT.high)))
-    maps = maps.replace(residual=jnp.asarray(np.exp(np.moveaxis(residual, 0, -1))))
+    both = fill_by_texture(np.concatenate([logs, residual]), hidden)
+    maps = maps_of(both[: len(NAMES)], both[len(NAMES) :])
     variances = np.einsum("...ii->...i", found.covariance)
     sizes = np.sqrt(np.maximum(variances, 1e-12))
     correlation = found.covariance / (sizes[..., None] * sizes[..., None, :])
@@ -228,7 +236,7 @@ def colour_iris(
         maps,
         polar(sizes),
         np.median(correlation[known], axis=0),
-        shown < 0.5,
+        hidden,
         float((np.abs(off).max(-1) > OUTSIDE).mean()),
         float(explained),
         gain,
@@ -387,13 +395,16 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
             lit = jnp.maximum(shown * exposure[:, None], 0.0) + _DARK
             rates = jnp.stack(pushed) * (_POWER * lit ** (_POWER - 1) * exposure[:, None])
             off = encoded(shown) - wanted
-            cost = (weight * off**2).sum(0) + prior * ((z - centre) ** 2).sum(0)
-            slope = -(weight * rates * off).sum(1) - prior * (z - centre)
-            matrix = (weight * rates[:, None] * rates[None]).sum(2) + prior * eye
-            return cost, slope, matrix, off
+            # Colours that the model cannot make keep their brightness.
+            dim, dims = off.mean(0), rates.mean(1)
+            kept = _BRIGHTNESS * weight.min(0)
+            cost = (weight * off**2).sum(0) + kept * dim**2 + prior * ((z - centre) ** 2).sum(0)
+            slope = -(weight * rates * off).sum(1) - kept * dims * dim - prior * (z - centre)
+            told = (weight * rates[:, None] * rates[None]).sum(2) + prior * eye
+            return cost, slope, told + kept * dims[:, None] * dims, told, off
 
         def step(_, state):
-            z, (cost, slope, matrix, _), damping = at = state
+            z, (cost, slope, matrix, *_), damping = at = state
             # A logarithm at the end of its range that would leave it is held.
             at_end = ((z <= low) & (slope < 0)) | ((z >= high) & (slope > 0))
             free = jnp.where(at_end, 0.0, 1.0)
@@ -413,12 +424,13 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
             off = seen.reshape(3, *colours.shape[2:], -1) - wanted[:, None]
             away = tried[..., None] - centre[:, None]
             near = (weight[:, None] * off**2).sum(0) + prior * (away**2).sum(0)
+            near = near + _BRIGHTNESS * weight.min(0) * off.mean(0) ** 2
             best = jnp.argmin(near, axis=0)
             start = tried[:, best]
         start = jnp.clip(start, low, high)
         begin = start, around(start), jnp.full_like(start[0], _DAMPING)
-        z, (_, _, matrix, off), _ = jax.lax.fori_loop(0, steps, step, begin)
-        return z, _inverse(matrix), off
+        z, (*_, told, off), _ = jax.lax.fori_loop(0, steps, step, begin)
+        return z, _inverse(told), off
 
     found = in_portions(solve, tuple(jnp.moveaxis(r, 0, -1) for r in rows))
     return tuple(jnp.moveaxis(f, -1, 0) for f in found)

@@ -9,6 +9,7 @@ from irisjax.photo.masks import (
     find_lash_shadows,
     find_lashes,
     find_lids,
+    find_reflections,
     without_islands,
 )
 from irisjax.photo.photograph import Ellipse
@@ -49,6 +50,20 @@ def test_highlights_are_marked_with_their_glow_and_little_else(grey):
     assert not found[~RING].any()
 
 
+@pytest.mark.parametrize("grey", [False, True])
+def test_a_window_that_is_not_burnt_out_is_found(grey):
+    """A wide reflection through which the iris shows; a ring of another colour is none."""
+    pixels = _eye(grey)
+    radius = LIMBUS.relative_radius(COLUMN, ROW)
+    pixels[(radius < 0.55) & RING] *= 1.0 if grey else np.array([2.0, 1.4, 0.5])
+    window = (np.abs(COLUMN - 310) < 22) & (np.abs(ROW - 200) < 25) & RING
+    pixels[window] += np.full(3, 0.35) if grey else np.array([0.25, 0.32, 0.42])
+    found = find_reflections(pixels, LIMBUS, RING)
+    assert found[window].mean() > 0.9
+    away = ndimage.distance_transform_edt(~window)
+    assert not found[away > 8].any()
+
+
 def _lashes():
     """Curved streaks from above that end in the iris."""
     drawn = np.zeros(SHAPE, bool)
@@ -86,6 +101,8 @@ def test_nothing_hides_an_open_eye(grey):
     pixels = _eye(grey)
     assert not find_highlights(pixels, NONE, RING).any()
     assert not find_highlights(pixels, NONE, NONE).any()
+    assert not find_reflections(pixels, LIMBUS, RING).any()
+    assert not find_reflections(pixels, LIMBUS, NONE).any()
     assert not find_lashes(pixels, LIMBUS, NONE).any()
     assert not find_lids(pixels, LIMBUS, PUPIL).any()
 

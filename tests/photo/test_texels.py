@@ -115,7 +115,7 @@ def test_the_numbers_and_their_deviations_are_those_of_the_drawing(view):
     for (name, scale), deviation in zip(scales.items(), found.deviations, strict=True):
         expected = np.log(np.kron(np.asarray(getattr(true, name)), np.ones(cells)))
         off = np.log(np.asarray(getattr(found.maps, name)) * scale) - expected
-        assert np.median(off[shown]) == pytest.approx(0, abs=0.1), name
+        assert abs(np.median(off[shown])) < 0.5 * np.median(deviation[shown]), name
         assert np.corrcoef((off + expected)[shown], expected[shown])[0, 1] > 0.85, name
         assert (np.abs(off) < 2 * deviation)[shown].mean() > 0.85, name
     assert found.correlation[1, 2] < -0.5

@@ -1,0 +1,63 @@
+"""What a photograph hides of an iris, filled by texture of the same radius elsewhere."""
+
+import numpy as np
+from jaxtyping import Bool, Float
+from skimage import measure, morphology
+
+from irisjax.photo.texture import fill_holes
+
+_TURNS = 48  # places round the iris from which a hidden region may be filled
+_BORDER = 6  # cells about a region in which the places are compared
+
+
+def fill_by_texture(
+    layers: Float[np.ndarray, "layers angles radii"], hidden: Bool[np.ndarray, "angles radii"]
+) -> Float[np.ndarray, "layers angles radii"]:
+    """Fill hidden cells of polar maps; the others stay exact.
+
+    Each region is filled from where the iris, turned by some angle, is seen and differs least along
+    the region's border. What still differs there is spread over the region smoothly.
+    """
+    if not hidden.any() or hidden.all():
+        return layers
+    cells = np.moveaxis(layers, 0, -1)
+    smooth = fill_holes(cells, hidden)
+    scale = np.maximum(cells[~hidden].std(0), 1e-6)
+    filled, turns = smooth.copy(), np.arange(1, _TURNS) * len(hidden) // _TURNS
+    for rows, columns, region in _regions(hidden):
+        box = np.ix_(rows % len(hidden), columns)
+        border = morphology.dilation(region, np.ones((2 * _BORDER + 1,) * 2, bool)) & ~hidden[box]
+        here, unlike = smooth[box], []
+        for turn in turns:
+            there = np.ix_((rows - turn) % len(hidden), columns)
+            away = ((here - smooth[there])[border] / scale) ** 2
+            # A place that is itself hidden is the last choice.
+            unseen = float(hidden[there][region].mean())
+            unlike.append((unseen, float(away.mean()) if border.any() else 0.0))
+        turn = turns[min(range(len(turns)), key=unlike.__getitem__)]
+        turned = smooth[np.ix_((rows - turn) % len(hidden), columns)]
+        if not region.all():
+            turned = turned + fill_holes(here - turned, region)
+        filled[box] = np.where(region[..., None], turned, filled[box])
+    return np.moveaxis(filled, -1, 0)
+
+
+def _regions(hidden: Bool[np.ndarray, "angles radii"]):
+    """Rows (beyond the last is the first), columns and mask of a box about each hidden region."""
+    angles, radii = hidden.shape
+    # The ends of the angles meet: a region that crosses them is whole in two copies.
+    label = np.asarray(measure.label(np.concatenate([hidden, hidden])))
+    taken = np.zeros_like(hidden)
+    regions = sorted(measure.regionprops(label), key=lambda r: -r.area)
+    for region in regions:
+        at = region.coords
+        if taken[at[:, 0] % angles, at[:, 1]].any():
+            continue
+        taken[at[:, 0] % angles, at[:, 1]] = True
+        (top, left), (bottom, right) = at.min(0) - _BORDER, at.max(0) + _BORDER + 1
+        rows = np.arange(top, min(bottom, top + angles))
+        columns = np.arange(max(left, 0), min(right, radii))
+        whole = np.zeros((len(rows), len(columns)), bool)
+        inside = at[:, 0] - top < len(rows)
+        whole[at[inside, 0] - top, at[inside, 1] - columns[0]] = True
+        yield rows, columns, whole

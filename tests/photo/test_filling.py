@@ -1,0 +1,38 @@
+"""Hidden cells of polar maps: filled by texture of the same radius, the rest exact."""
+
+import numpy as np
+import pytest
+
+from irisjax.photo.filling import fill_by_texture
+
+ANGLES, RADII = 192, 40
+ANGLE = (np.arange(ANGLES) * (2 * np.pi / ANGLES))[:, None]
+RADIUS = np.arange(RADII) / RADII
+
+
+@pytest.mark.parametrize("first", [20, ANGLES - 10])
+def test_a_texture_that_comes_again_is_filled_exactly(first):
+    """Fibres that repeat four times round the iris, and a ring of another colour."""
+    fibres = np.sin(28 * ANGLE) * (1 + RADIUS) + 2 * (RADIUS < 0.3)
+    layers = np.stack([fibres, 3 - 2 * fibres])
+    hidden = np.zeros((ANGLES, RADII), bool)
+    hidden[np.arange(first, first + 24) % ANGLES, 5:25] = True
+    seen = np.where(hidden, 99.0, layers)
+    found = fill_by_texture(seen, hidden)
+    np.testing.assert_array_equal(found[:, ~hidden], layers[:, ~hidden])
+    np.testing.assert_allclose(found, layers, atol=1e-4)
+
+
+def test_a_filled_region_is_as_rough_as_the_rest_and_as_bright_as_its_border():
+    noise = np.random.default_rng(1).normal(size=(ANGLES, RADII))
+    layers = (noise + 5 * np.cos(ANGLE))[None]
+    hidden = np.zeros((ANGLES, RADII), bool)
+    hidden[60:90, 10:30] = True
+    filled = fill_by_texture(np.where(hidden, 0.0, layers), hidden)[0] - 5 * np.cos(ANGLE)
+    assert filled[hidden].std() == pytest.approx(1, abs=0.25)
+    assert filled[hidden].mean() == pytest.approx(0, abs=0.5)
+
+
+def test_nothing_hidden_changes_nothing():
+    layers = np.ones((2, 8, 4))
+    assert fill_by_texture(layers, np.zeros((8, 4), bool)) is layers
