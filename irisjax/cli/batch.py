@@ -1,8 +1,6 @@
 """`irisjax fit --batch`: a row for each eye, failures listed, resumed where it stopped."""
 
-import csv
-import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,7 @@ import irisjax as ij
 from irisjax import io
 from irisjax.cli import report
 from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler, process_of
-from irisjax.cli.options import tell
+from irisjax.cli.many import DOUBTFUL, FAILED, OK, EyeRow, EyeTable, csv_of
 from irisjax.cli.sentences import of_the_data, preference
 from irisjax.infer.fit import Fit, FitStatus, fit, words_for
 from irisjax.infer.least_squares import levenberg_marquardt
@@ -33,9 +31,6 @@ from irisjax.io.measured import Measured
 from irisjax.transport.process import option_of
 
 _CHUNK = 64  # eyes a device at a time
-OK, DOUBTFUL, FAILED = "ok", "doubtful", "failed"
-"""An eye is doubtful where the model does not produce its data, searches disagree, or a value lies
-far outside its prior; it failed where there is no valid result."""
 _FIRST = ("eye", "status", "posterior", "warnings")
 _SUFFIXES = {f".{end}" for end in ("csv", "tsv", "txt", "asc", "dx", "jdx", "jcm", "rxt")} | {
     f".{end}" for end in ("sed", "sig", "trt", "ttt", "xlsx")
@@ -43,7 +38,6 @@ _SUFFIXES = {f".{end}" for end in ("csv", "tsv", "txt", "asc", "dx", "jdx", "jcm
 _FAR = 4.0  # standard deviations of a prior
 
 Eyes = Mapping[str, Measured | ValueError]
-_Row = dict[str, str]
 
 
 def many(
@@ -57,54 +51,44 @@ def many(
     the folder for results, beside covariances, or print the table. The exit status: 3 where an eye
     failed.
     """
-    from tqdm import tqdm
-
     eyes, output = _eyes(source, measured.reading), results.output
     if not eyes:
         raise ValueError(f"{source}: no spectra in it")
     if results.posteriors and output is None:
         raise ValueError("--posteriors needs -o FOLDER for what it samples")
     target = None if output is None else output / "fits.csv"
-    rows: dict[str, _Row] = {}
-    covariances: dict[str, list[_Row]] = {}
-    if target is not None:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        if target.exists() and not (results.resume or results.overwrite):
-            raise ValueError(f"{target}: exists; --resume continues it, --overwrite starts again")
-        if target.exists() and results.resume:
-            covariances = read_covariances(covariances_beside(target))
-            rows = _read(target, results.posteriors)
-            rows = {name: row for name, row in rows.items() if name in covariances}
+    table = EyeTable(tuple(eyes), _FIRST, "warnings", "eye", target, {})
+    covariances: dict[str, list[EyeRow]] = {}
+    if target is not None and target.exists() and results.resume:
+        covariances = read_covariances(covariances_beside(target))
+
+    def done(row: EyeRow) -> bool:
+        sampled = row["posterior"] == CONVERGED or not results.posteriors
+        return sampled and row["eye"] in covariances
+
+    table.begin(results.resume, results.overwrite, done)
     seen = measured.seen
-    left = {name: eye for name, eye in eyes.items() if name not in rows}
-    how: dict[str, Any] = {"total": len(eyes), "initial": len(rows), "unit": "eye"}
-    with tqdm(desc="compiling", disable=not sys.stderr.isatty(), **how) as bar:
+    left = {name: eyes[name] for name in table.left()}
+    with table.progress() as bar:
         for chunk in _chunks(left):
             headers = [m.header for m in chunk.values() if isinstance(m, Measured)]
             options = {"noise": measured.noise, **model.stated(headers)}
-            found, beside = _fitted(chunk, seen, options, sampler.key)
+            found, more = _fitted(chunk, seen, options, sampler.key)
             for name, row in found.items():
                 if output is not None and results.posteriors and row["status"] != FAILED:
                     one = ij.spectrum(chunk[name], name=name, **seen)
                     problem = ij.problem(one, **options)
                     row |= _sampled(problem, output / name, sampler, results.resume)
-            rows |= found
-            covariances |= beside
-            if target is not None:  # each chunk whole: a killed run loses the one it was in
+            covariances |= more
+            beside = {}
+            if target is not None:
                 long = [list(r.values()) for n in eyes for r in covariances.get(n, ())]
-                both = {target: _table(rows, eyes)}
-                both[covariances_beside(target)] = report.csv_of([COVARIANCES, *long])
-                io.write_together({path: text.encode() for path, text in both.items()})
+                text = csv_of([COVARIANCES, *long])
+                beside[covariances_beside(target)] = text.encode()
+            table.add(found, beside)  # each chunk whole
             bar.set_description("eyes", refresh=False)
             bar.update(len(chunk))
-    if target is None:
-        sys.stdout.write(_table(rows, eyes))
-    for status, verb in ((FAILED, "failed"), (DOUBTFUL, "are doubtful")):
-        names = [name for name in eyes if rows[name]["status"] == status]
-        if names:
-            some = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
-            tell(f"{len(names)} of {len(eyes)} eyes {verb}: {some}; the column warnings says why")
-    return 3 if any(rows[name]["status"] == FAILED for name in eyes) else 0
+    return table.conclude()
 
 
 def _eyes(source: Path, reading: io.ReadOptions) -> Eyes:
@@ -137,13 +121,13 @@ def _chunks(eyes: Eyes) -> Iterator[Eyes]:
             yield {name: eyes[name] for name in names[first : first + size]}
 
 
-def _row(*cells: str) -> _Row:
+def _row(*cells: str) -> EyeRow:
     return dict(zip(_FIRST, cells, strict=True))
 
 
 def _fitted(
     chunk: Eyes, seen: Mapping[str, Any], options: Mapping[str, Any], key: jax.Array
-) -> tuple[dict[str, _Row], dict[str, list[_Row]]]:
+) -> tuple[dict[str, EyeRow], dict[str, list[EyeRow]]]:
     """Rows of eyes, and of the covariances of those that can be fitted."""
     spectra = [m for m in chunk.values() if isinstance(m, Measured)]
     if not spectra:
@@ -247,7 +231,7 @@ def _judged(problem: Problem, found: Fit) -> tuple[str, list[str]]:
     return (DOUBTFUL if said else OK), said
 
 
-def _sampled(problem: Problem, folder: Path, sampler: Sampler, resume: bool) -> _Row:
+def _sampled(problem: Problem, folder: Path, sampler: Sampler, resume: bool) -> EyeRow:
     """Sample the posterior of an eye; what that changes in its row."""
     folder.mkdir(exist_ok=True)
     chain = folder / "chain.h5"
@@ -261,18 +245,3 @@ def _sampled(problem: Problem, folder: Path, sampler: Sampler, resume: bool) -> 
     except ValueError as error:
         posterior, warning = "", str(error)
     return {"status": FAILED, "posterior": posterior, "warnings": f"{folder}: {warning}"}
-
-
-def _read(path: Path, posteriors: bool) -> dict[str, _Row]:
-    """Rows of eyes that are done; those that failed are tried again."""
-    table = csv.DictReader(path.read_text(encoding="utf-8").splitlines())
-    if tuple(table.fieldnames or ())[: len(_FIRST)] != _FIRST:
-        raise ValueError(f"{path}: is no table of --batch; --overwrite starts again")
-    done = (r for r in table if r["status"] != FAILED)
-    return {r["eye"]: r for r in done if r["posterior"] == CONVERGED or not posteriors}
-
-
-def _table(rows: Mapping[str, _Row], eyes: Iterable[str]) -> str:
-    made = [rows[name] for name in eyes if name in rows]
-    columns = list(max(made, key=len))
-    return report.csv_of([columns, *([row.get(n, "") for n in columns] for row in made)])

@@ -8,7 +8,8 @@ import irisjax as ij
 from irisjax import io
 from irisjax.cli import sentences
 from irisjax.cli.fit_options import Sampler
-from irisjax.cli.report import counting, csv_of, labelled, print_table, shape_of
+from irisjax.cli.many import csv_of
+from irisjax.cli.report import counting, labelled, print_table, shape_of
 from irisjax.infer.model_comparison import COMPARED, Assessment, compare_models
 from irisjax.infer.parameters import kind
 from irisjax.infer.problem import Problem

@@ -10,7 +10,8 @@ import irisjax as ij
 from irisjax import io
 from irisjax.cli import batch
 from irisjax.cli import options as opt
-from irisjax.cli.report import csv_of, print_table
+from irisjax.cli.many import csv_of
+from irisjax.cli.report import print_table
 from irisjax.cli.sentences import interval
 from irisjax.infer.model_comparison import Interval
 from irisjax.infer.parameters import unit_of

@@ -1,7 +1,5 @@
 """Report of `irisjax fit` on one eye: table, summary, posterior and figures."""
 
-import csv
-import io as text_io
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -14,6 +12,7 @@ import irisjax as ij
 from irisjax import io
 from irisjax.cli import sentences
 from irisjax.cli.fit_options import Sampler
+from irisjax.cli.many import csv_of
 from irisjax.cli.options import tell
 from irisjax.infer.analysis import Analysis, analyse, predictive
 from irisjax.infer.draws import arviz_groups
@@ -99,13 +98,6 @@ def _summary(found: Analysis) -> str:
             cells = [other, *(f"{x:.6g}" for x in moved.other), "yes" if moved.differs else "no"]
         rows.append([row.parameter, row.unit, *(f"{x:.6g}" for x in row[2:]), own, *cells])
     return csv_of([COLUMNS, *rows])
-
-
-def csv_of(rows: Iterable[Iterable[object]]) -> str:
-    """Return rows of cells as CSV."""
-    out = text_io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows(rows)
-    return out.getvalue()
 
 
 def shape_of(seen: Observation) -> tuple[str, str, bool, np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from refusals import one_line
 
-from irisjax.cli import report
+from irisjax.cli import many
 from irisjax.infer.priors import LogNormal, Uniform
 from irisjax.io.fits import COVARIANCES, covariance_rows
 from irisjax.io.posterior import write_posterior
@@ -30,9 +30,9 @@ def write(folder, load, eyes=12, seed=0, priors=PRIORS, process="ilit-2006", sta
         rows[-1]["process"] = process
         long += covariance_rows(f"e{i}", priors, np.diag(sd**2))
     table = [list(rows[0]), *(list(r.values()) for r in rows)]
-    (folder / "fits.csv").write_text(report.csv_of(table))
+    (folder / "fits.csv").write_text(many.csv_of(table))
     covariances = [COVARIANCES, *(list(r.values()) for r in long)]
-    (folder / "fits-covariance.csv").write_text(report.csv_of(covariances))
+    (folder / "fits-covariance.csv").write_text(many.csv_of(covariances))
     return folder
 
 

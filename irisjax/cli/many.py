@@ -1,0 +1,105 @@
+"""A table with a row for each of many eyes, kept on disk while a command works through them."""
+
+import csv
+import io as text_io
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from irisjax import io
+from irisjax.cli.options import tell
+
+EyeRow = dict[str, str]
+OK, DOUBTFUL, FAILED = "ok", "doubtful", "failed"
+"""An eye is doubtful where it has a result that the table doubts; it failed where it has none."""
+
+
+@dataclass(frozen=True)
+class EyeTable:
+    """Rows of eyes by name.
+
+    Attributes:
+        eyes: Names of all, in their order.
+        first: The first columns of every row, `status` among them; the very first has the name.
+        why: The column that says why an eye is doubtful or failed.
+        unit: What an eye is called in messages.
+        target: The file, or `None` to print the table.
+        rows: Those that are done.
+    """
+
+    eyes: tuple[str, ...]
+    first: tuple[str, ...]
+    why: str
+    unit: str
+    target: Path | None
+    rows: dict[str, EyeRow]
+
+    def begin(
+        self, resume: bool, overwrite: bool, done: Callable[[EyeRow], bool] = lambda row: True
+    ) -> None:
+        """Read what a stopped run has left if it is continued: rows that did not fail and are
+        `done`. `ValueError` where there is a table and neither `resume` nor `overwrite`.
+        """
+        if self.target is None:
+            return
+        self.target.parent.mkdir(parents=True, exist_ok=True)
+        if not self.target.exists():
+            return
+        if not (resume or overwrite):
+            ways = "--resume continues it, --overwrite starts again"
+            raise ValueError(f"{self.target}: exists; {ways}")
+        if resume:
+            table = csv.DictReader(self.target.read_text(encoding="utf-8").splitlines())
+            if tuple(table.fieldnames or ())[: len(self.first)] != self.first:
+                raise ValueError(f"{self.target}: is no table of --batch; --overwrite starts again")
+            kept = (row for row in table if row["status"] != FAILED and done(row))
+            self.rows.update({row[self.first[0]]: row for row in kept})
+
+    def left(self) -> list[str]:
+        """Return the names of the eyes that have no row."""
+        return [name for name in self.eyes if name not in self.rows]
+
+    def progress(self) -> Any:
+        """Return a bar that counts eyes on a terminal."""
+        from tqdm import tqdm
+
+        how: dict[str, Any] = {"total": len(self.eyes), "initial": len(self.rows)}
+        return tqdm(unit=self.unit, desc="compiling", disable=not sys.stderr.isatty(), **how)
+
+    def add(self, rows: Mapping[str, EyeRow], beside: Mapping[Path, bytes] | None = None) -> None:
+        """Add rows, and write the table together with files beside it: a killed run loses no more
+        than what it was at.
+        """
+        self.rows.update(rows)
+        if self.target is not None:
+            io.write_together({self.target: self.text().encode(), **(beside or {})})
+
+    def text(self) -> str:
+        """Return the table as CSV, with the columns of the longest row first."""
+        made = [self.rows[name] for name in self.eyes if name in self.rows]
+        longest = sorted(made, key=len, reverse=True)
+        columns = list(dict.fromkeys(column for row in longest for column in row))
+        return csv_of([columns, *([row.get(n, "") for n in columns] for row in made)])
+
+    def conclude(self) -> int:
+        """Print the table if it has no file, and on standard error which eyes failed or are
+        doubtful; return the exit status, 3 where one failed.
+        """
+        if self.target is None:
+            sys.stdout.write(self.text())
+        for status, verb in ((FAILED, "failed"), (DOUBTFUL, "are doubtful")):
+            names = [name for name in self.eyes if self.rows[name]["status"] == status]
+            if names:
+                some = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
+                of = f"{len(names)} of {len(self.eyes)} {self.unit}s"
+                tell(f"{of} {verb}: {some}; the column {self.why} says why")
+        return 3 if any(row["status"] == FAILED for row in self.rows.values()) else 0
+
+
+def csv_of(rows: Iterable[Iterable[object]]) -> str:
+    """Return rows of cells as CSV."""
+    out = text_io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows(rows)
+    return out.getvalue()
