@@ -24,6 +24,11 @@ from .clone import outline_eye as outline_eye
 from .clone import pose_eye as pose_eye
 from .clone import sample_clone as sample_clone
 from .clone import shape_iris as shape_iris
+from .eye_colour import EyeColour as EyeColour
+from .eye_colour import RegionColour as RegionColour
+from .eye_colour import WhiteOfEye as WhiteOfEye
+from .eye_colour import colours_of as colours_of
+from .eye_colour import measure_eye_colour as measure_eye_colour
 from .light import Lighting as Lighting
 from .outlines import Boundaries as Boundaries
 from .photograph import Ellipse as Ellipse

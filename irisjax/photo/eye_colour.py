@@ -1,0 +1,447 @@
+"""Colours of an iris in CIE L*a*b*, corrected for the light by the white of the eye."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Float
+from scipy import ndimage
+from scipy.cluster.vq import kmeans2
+from skimage import filters, measure
+
+from irisjax._types import PRNGKey
+from irisjax.measure.colour import XYZ_TO_SRGB, lab_of, srgb_encode
+from irisjax.photo.clone import Outlined
+from irisjax.photo.masks import Part, part_of, regions_that
+from irisjax.photo.photograph import Brightness, Colours, Ellipse, Mask
+from irisjax.photo.texture import LUMINANCE_WEIGHTS, masked_mean
+
+RINGS = {"pupillary ring": (0.06, 0.28), "collarette": (0.28, 0.45), "ciliary ring": (0.45, 0.9)}
+"""Inner and outer borders of the rings, shares of the way from the pupil to the limbus."""
+WHOLE_IRIS = "whole iris"
+_TO_XYZ = np.linalg.inv(XYZ_TO_SRGB)
+_TO_WHITE = _TO_XYZ / _TO_XYZ.sum(1, keepdims=True)  # to XYZ relative to D65's white
+_DRAWS = 2000
+
+# The white of people's eyes: logarithms of luminance, red over green and blue over green, linear
+# sRGB. The medians are L*a*b* = (80, 3.5, 8), half-way between this package's white (82, 1, 4; see
+# `irisjax.render.outside.bulk_reflectance`) and that of women's faces (a* 3.8 and b* 8.7 at L* 47,
+# which is 5.8 and 13 at L* 80; varied from 5.5 to 11.9 along its change with age) [J. Cosmet. Sci.
+# 73, 369, 2022]. Both lie within 95 %.
+_WHITE = np.log(0.567), 0.17, -0.14
+_WHITE_SD = 0.18, 0.12, 0.13
+_WHITE_CORRELATION = -0.6  # of the two ratios: yellower whites are redder
+# Light on a frontal sheet of paper at the eye's place over that on the white, which is turned aside
+# and shaded by the face, decided: logarithm and standard deviation, with both sides and with one.
+_TURNED, _TURNED_SD, _ONE_SIDE_SD = 0.15, 0.15, 0.3
+_TINT_SD = 0.03  # of the light's tint between iris and white where only one side is seen
+# Cameras that are not calibrated, decided: standard deviations of the logarithm of the contrast and
+# of the channels.
+_CONTRAST_SD, _CHANNEL_SD = 0.1, 0.03
+_VEIL_SD, _STEP = 0.4, 6e-4  # of the veil, relative and in steps of 8 bits near black
+_BLOCK = 64  # pixels of a JPEG's block, whose errors go together
+_SECTORS = 12
+
+_WHITE_RING = 1.08, 1.29  # radii between which the white is sought, relative to the limbus
+_ASIDE = 0.64  # cosine of the largest angle from the horizontal
+_BRIGHT, _REDDER = 0.5, 0.35  # of the white: least brightness, and most excess of ln R/B
+_GAP = 3  # px, half the width of vessels and lashes in it
+_LEAST_WHITE = 0.05, 40  # share of a side, and pixels
+_RED, _THAN_SKIN = 0.6, 0.3  # ln R/B: of a white without skin beside it; of skin above the white's
+_OVER_IRIS = 1.3  # least brightness of the white over the iris's
+_LEAST_IRIS = 0.05, 200  # visible share of the iris, and pixels
+_ALIKE, _SMALL = 4.0, 0.05  # distance and share below which dominant colours are one
+_LIGHTNESS = 0.5  # weight of L* in that distance: shades are no other colours
+_CLUSTERED = 20_000  # pixels
+_BROAD = 0.02  # width of the mean in which reflections are sought, relative to the limbus
+_LESS = 0.3  # quantile of a ring that no reflection reaches
+_SKIN = 0.1  # red over all channels, above the ring's
+_SHARP = 0.75  # share of a place that they fill: lit tissue fades
+_MIRRORED, _NEUTRAL = 0.1, 0.4  # their least light, relative to the white; least over most channel
+_BURNT, _VEILED, _HIDDEN = 0.3, 0.35, 0.6  # shares above which it is doubtful
+
+
+class WhiteOfEye(NamedTuple):
+    """The white of an eye in a photograph.
+
+    Attributes:
+        pixels: Pixels that show it.
+        sides: Linear colours to the left and to the right, of the sides that are seen.
+        burnt: Share of its pixels that may be cut off.
+    """
+
+    pixels: Mask
+    sides: Float[np.ndarray, "sides 3"]
+    burnt: float
+
+
+class RegionColour(NamedTuple):
+    """The colour of a part of the iris, as it appears through the cornea.
+
+    Attributes:
+        lab: CIE 1976 L*a*b* under D65, relative to a perfect white that faces the camera at the
+            eye's place.
+        low: Lower ends of the 95 % intervals.
+        high: Upper ends.
+        srgb: The colour, sRGB-encoded, clipped to [0, 1].
+        share: Visible share of a ring; share that a dominant colour has of what is visible.
+    """
+
+    lab: Float[np.ndarray, "3"]
+    low: Float[np.ndarray, "3"]
+    high: Float[np.ndarray, "3"]
+    srgb: Float[np.ndarray, "3"]
+    share: float
+
+
+class EyeColour(NamedTuple):
+    """The colours of an iris.
+
+    Attributes:
+        regions: Colours of the whole iris and of `RINGS`, by name; rings that are hidden are left
+            out.
+        dominant: One to three colours that make up the iris, the most frequent first.
+        difference: Pupillary ring minus ciliary ring in L*a*b*, with the 95 % interval: the error
+            of the white is common to both. `None` if one is hidden.
+        white: The white of the eye.
+        veil: Linear colour of the reflections that is subtracted, as the pupil shows it.
+        visible: Pixels of the iris that are used.
+        doubts: A sentence for each.
+    """
+
+    regions: dict[str, RegionColour]
+    dominant: tuple[RegionColour, ...]
+    difference: Float[np.ndarray, "3 lab"] | None
+    white: WhiteOfEye
+    veil: Float[np.ndarray, "3"]
+    visible: Mask
+    doubts: tuple[str, ...]
+
+
+def colours_of(found: Outlined, *, key: PRNGKey) -> tuple[EyeColour, Part]:
+    """Measure the colours of an outlined eye, as `measure_eye_colour` does; also return the part of
+    the photograph whose pixels they are.
+
+    Raises:
+        ValueError: As of `measure_eye_colour`, and for a photograph without colours.
+    """
+    photograph, outlines = found.photograph, found.boundaries
+    if photograph.grey:
+        raise ValueError(f"{photograph.name}: the photograph has no colours")
+    part = part_of(photograph, outlines.limbus)
+    pupil = part.moved(outlines.pupil)
+    clear, _ = part.clear(pupil)
+    try:
+        return measure_eye_colour(part, pupil, clear, outlines.limbus_width, key=key), part
+    except ValueError as error:
+        raise ValueError(f"{photograph.name}: {error}") from None
+
+
+def measure_eye_colour(
+    part: Part, pupil: Ellipse, clear: Mask, limbus_width: float | None = None, *, key: PRNGKey
+) -> EyeColour:
+    """Measure an iris's colours against the white of the eye, by rings.
+
+    The light's tint and brightness are those of the white; its own colour is taken as the mean of
+    people's. The intervals allow for the spread among people, for light that differs between iris
+    and white, for reflections, for the camera's contrast and channels, and for hidden sectors.
+
+    Args:
+        part: The part of a photograph about the limbus.
+        pupil: Outline of the pupil on its pixels.
+        clear: Pixels that show the iris and nothing in front of it.
+        limbus_width: Width over which iris and white blend, relative to the limbus's radius.
+        key: Random key of the draws and of the search for dominant colours.
+
+    Raises:
+        ValueError: If no white is seen, or hardly any of the iris.
+    """
+    random = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
+    depth = depth_in_iris(part.outside.shape, pupil, part.limbus)
+    inner, outer = RINGS["pupillary ring"][0], RINGS["ciliary ring"][1]
+    iris = (depth > inner) & (depth < outer)
+    visible = iris & clear
+    share = visible.sum() / max(iris.sum(), 1)
+    if share < _LEAST_IRIS[0] or visible.sum() < _LEAST_IRIS[1]:
+        raise ValueError(f"only {100 * share:.0f} % of the iris is visible, too little to measure")
+    white = find_white(part, limbus_width, part.pixels[visible])
+    light = part.pixels / white.sides.mean(0)
+    clear = clear & ~_hiding(light, visible, depth, pupil, part.limbus)
+    visible = iris & clear
+    veil = _veil(part, pupil, visible)
+    draws = _Draws.of(white, veil, random)
+    angle = _angles(part.outside.shape, part.limbus)
+    borders = {WHOLE_IRIS: (inner, outer), **RINGS}
+    regions, samples = {}, {}
+    for name, (low, high) in borders.items():
+        ring = (depth > low) & (depth < high)
+        seen = ring & clear
+        if seen.sum() < _LEAST_IRIS[0] * ring.sum() or seen.sum() < _LEAST_IRIS[1] / 4:
+            continue
+        hidden = 1 - seen.sum() / ring.sum()
+        mean, covariance = _mean_and_error(part.pixels[seen], angle[seen], hidden)
+        samples[name] = draws.lab(mean, covariance, random)
+        regions[name] = _region(samples[name], draws.colour(mean), 1 - hidden)
+    difference = None
+    if {"pupillary ring", "ciliary ring"} <= samples.keys():
+        off = samples["pupillary ring"] - samples["ciliary ring"]
+        difference = np.quantile(off, [0.5, 0.025, 0.975], axis=1)
+    dominant = _dominant(part.pixels, visible, part.limbus, draws, random)
+    doubts = _doubts(white, veil, part.pixels[visible].mean(0), 1 - share)
+    return EyeColour(regions, dominant, difference, white, veil, visible, doubts)
+
+
+def depth_in_iris(shape: tuple[int, ...], pupil: Ellipse, limbus: Ellipse) -> Brightness:
+    """Return how far each pixel lies on the way from the pupil (0) to the limbus (1)."""
+    past = pupil.radii(shape) - 1
+    left = (1 - limbus.radii(shape)) * (limbus.mean_radius / pupil.mean_radius)
+    total = past + left
+    return past / np.where(abs(total) < 1e-6, 1e-6, total)
+
+
+def find_white(
+    part: Part, limbus_width: float | None, iris: Float[np.ndarray, "pixels 3"]
+) -> WhiteOfEye:
+    """Find the white to the left and right of a limbus: bright, and less red than skin.
+
+    Args:
+        part: The part of a photograph about the limbus.
+        limbus_width: Width over which iris and white blend, relative to the limbus's radius.
+        iris: Linear colours of the iris.
+
+    Raises:
+        ValueError: If no white is seen.
+    """
+    shape, pixels = part.outside.shape, part.pixels
+    radius, angle = part.limbus.radii(shape), _angles(shape, part.limbus)
+    inner = max(_WHITE_RING[0], 1 + 0.6 * (limbus_width or 0))
+    around = (radius > inner) & (radius < max(_WHITE_RING[1], inner + 0.1)) & ~part.outside
+    beside = around & (abs(np.cos(angle)) > _ASIDE)
+    cut_off = np.asarray(ndimage.binary_dilation(part.saturated), bool)
+    luminance = pixels @ LUMINANCE_WEIGHTS
+    tint = np.log(np.maximum(pixels[..., 0], 1e-4) / np.maximum(pixels[..., 2], 1e-4))
+    free, marked = beside & ~cut_off, np.zeros(shape, bool)
+    nothing = "no white of the eye is seen beside the iris, by which the light could be corrected"
+    if not free.any():
+        raise ValueError(nothing)
+    bright = free & (luminance > _BRIGHT * np.quantile(luminance[free], 0.9))
+    least = float(np.quantile(tint[bright], 0.2))
+    skin = float(np.quantile(tint[around & ~cut_off & (luminance > 0)], 0.9))
+    if least > _RED and skin - least < _THAN_SKIN:
+        raise ValueError(nothing)
+    dark, sides = _OVER_IRIS * float(np.median(iris @ LUMINANCE_WEIGHTS)), []
+    for side in (np.cos(angle) < 0, np.cos(angle) > 0):
+        there = free & side
+        if not there.any():
+            continue
+        shown = there & (tint < least + _REDDER)
+        shown &= luminance > _BRIGHT * np.quantile(luminance[there], 0.9)
+        shown = _largest(shown)
+        colour = np.median(pixels[shown], axis=0) if shown.any() else np.zeros(3)
+        enough = shown.sum() > max(_LEAST_WHITE[0] * (beside & side).sum(), _LEAST_WHITE[1])
+        if enough and colour @ LUMINANCE_WEIGHTS > dark:
+            sides.append(colour)
+            marked |= shown
+    if not sides:
+        raise ValueError(nothing)
+    burnt = (beside & part.saturated).sum()
+    return WhiteOfEye(marked, np.array(sides, float), float(burnt / (burnt + marked.sum())))
+
+
+def _largest(mask: Mask) -> Mask:
+    """The largest connected part of a mask, across thin gaps such as vessels, or nothing."""
+    label = np.asarray(measure.label(ndimage.binary_closing(mask, iterations=_GAP)))
+    sizes = np.bincount(label[mask], minlength=2)
+    return mask & (label == 1 + int(np.argmax(sizes[1:])))
+
+
+class _Draws(NamedTuple):
+    """Random draws of what stands between a photograph's pixel and a colour.
+
+    `factor` (draws, 3) takes a pixel over the white's pixel to linear sRGB under D65; the first
+    draw of each is its median, without an error.
+    """
+
+    white: np.ndarray
+    factor: np.ndarray
+    contrast: np.ndarray
+    veil: np.ndarray
+
+    @classmethod
+    def of(cls, white: WhiteOfEye, veil: np.ndarray, random: np.random.Generator) -> "_Draws":
+        normal = random.standard_normal((_DRAWS, 12))
+        normal[0] = 0
+        apart = np.log(white.sides[0] / white.sides[-1]) if len(white.sides) > 1 else None
+        if apart is None:
+            light, tint = _ONE_SIDE_SD, np.full(3, _TINT_SD)
+        else:
+            mean = apart @ LUMINANCE_WEIGHTS
+            light, tint = np.hypot(_TURNED_SD, 0.1 * mean), 0.35 * abs(apart - mean)
+        # White: luminance, then red and blue over green.
+        second = _WHITE_CORRELATION * normal[:, 1]
+        second = second + np.sqrt(1 - _WHITE_CORRELATION**2) * normal[:, 2]
+        red, blue = (
+            np.exp(_WHITE[i] + _WHITE_SD[i] * z) for i, z in ((1, normal[:, 1]), (2, second))
+        )
+        own = np.stack([red, np.ones(_DRAWS), blue], -1)
+        own *= np.exp(_WHITE[0] + _WHITE_SD[0] * normal[:, :1]) / (own @ LUMINANCE_WEIGHTS)[:, None]
+        light_off = light * normal[:, 3:4] - _TURNED
+        factor = own * np.exp(light_off + np.hypot(tint, _CHANNEL_SD) * normal[:, 4:7])
+        contrast = np.exp(_CONTRAST_SD * normal[:, 7:8])
+        veils = veil * (1 + _VEIL_SD * normal[:, 8:9]) + _STEP * normal[:, 9:12]
+        return cls(white.sides.mean(0), factor, contrast, np.maximum(veils, 0))
+
+    def linear(self, pixel: np.ndarray) -> np.ndarray:
+        """Linear sRGB under D65, a row a draw, of a pixel or of one for each draw."""
+        ratio = np.maximum(pixel - self.veil, 1e-5) / self.white
+        return ratio ** (1 / self.contrast) * self.factor
+
+    def colour(self, pixel: np.ndarray) -> np.ndarray:
+        """The median as sRGB-encoded colour."""
+        return np.clip(np.asarray(srgb_encode(self.linear(pixel)[0])), 0, 1)
+
+    def lab(self, mean: np.ndarray, covariance: np.ndarray, random: np.random.Generator):
+        """Return L*a*b*, (3, draws), of a mean with an error of its own."""
+        scatter = random.multivariate_normal(np.zeros(3), covariance, _DRAWS)
+        return np.asarray(lab_of(_TO_WHITE @ self.linear(mean + scatter).T))
+
+
+def _region(samples: np.ndarray, srgb: np.ndarray, share: float) -> RegionColour:
+    low, middle, high = np.quantile(samples, [0.025, 0.5, 0.975], axis=1)
+    return RegionColour(middle, low, high, srgb, float(share))
+
+
+def _mean_and_error(pixels: np.ndarray, angle: np.ndarray, hidden: float):
+    """Mean colour of a ring and its covariance: hidden sectors may differ as the seen ones do."""
+    sector = (angle / (2 * np.pi) * _SECTORS).astype(int) % _SECTORS
+    count = np.bincount(sector, minlength=_SECTORS)
+    used = count > 0.02 * len(pixels)
+    sums = np.stack([np.bincount(sector, p, _SECTORS) for p in pixels.T], -1)
+    means = sums[used] / count[used, None]
+    covariance = np.cov(pixels.T) * _BLOCK / len(pixels)
+    if len(means) > 1:
+        covariance = covariance + np.cov(means.T) * hidden / len(means)
+    return pixels.mean(0), covariance
+
+
+def _dominant(
+    pixels: Colours, visible: Mask, limbus: Ellipse, draws: _Draws, random: np.random.Generator
+) -> tuple[RegionColour, ...]:
+    """Find the colours that make up the iris, by k-means in L*a*b*."""
+    smooth = np.stack(
+        [
+            masked_mean(c, visible, 0.01 * limbus.mean_radius)[visible]
+            for c in np.moveaxis(pixels, -1, 0)
+        ],
+        -1,
+    )
+    places = np.linspace(0, len(smooth) - 1, _CLUSTERED).astype(int)
+    chosen = smooth[places]
+    middle = _Draws(draws.white, *(values[:1] for values in draws[1:]))
+    lab = np.asarray(lab_of(_TO_WHITE @ middle.linear(chosen).T)).T
+    weighed = lab * (_LIGHTNESS, 1, 1)
+    axis = np.linalg.eigh(np.cov(weighed.T))[1][:, -1]
+    thirds = np.array_split(weighed[np.argsort(weighed @ axis, kind="stable")], 3)
+    starts = np.stack([third.mean(0) for third in thirds])
+    label = kmeans2(weighed, starts, minit="matrix", missing="warn")[1]
+    while len(known := np.unique(label)) > 1:
+        size = np.array([np.mean(label == k) for k in known])
+        centres = np.stack([weighed[label == k].mean(0) for k in known])
+        apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+        np.fill_diagonal(apart, np.inf)
+        small = int(size.argmin())
+        one, other = np.unravel_index(int(apart.argmin()), apart.shape)
+        if size[small] < _SMALL:
+            one, other = small, int(apart[small].argmin())
+        elif apart[one, other] > _ALIKE:
+            break
+        label[label == known[one]] = known[other]
+    found = []
+    for k in np.unique(label):
+        own = chosen[label == k]
+        mean, none = own.mean(0), np.zeros((3, 3))
+        samples = draws.lab(mean, none, random)
+        found.append(_region(samples, draws.colour(mean), len(own) / len(chosen)))
+    return tuple(sorted(found, key=lambda region: -region.share))
+
+
+def _hiding(
+    light: Colours, visible: Mask, depth: Brightness, pupil: Ellipse, limbus: Ellipse
+) -> Mask:
+    """Find what else hides the iris, by light relative to the white: broad reflections that are not
+    burnt out, and lids.
+    """
+    width, place = max(1, round(_BROAD * limbus.mean_radius)), visible.nonzero()
+    # Between bright fibres it is dark; a reflection is bright throughout.
+    held = np.where(visible[..., None], light, np.inf)
+    smooth = ndimage.minimum_filter(held, (2 * width + 1, 2 * width + 1, 1))[place]
+    ring = (depth[place] * 16).astype(int)
+    usual = np.zeros((16, 3))
+    for k in np.unique(ring):
+        usual[k] = np.quantile(smooth[ring == k], _LESS, axis=0)
+    more = smooth - usual[ring]
+    scatter = np.median(abs(more), axis=0)
+    # More of all channels, or as much more as in the pupil, which is black.
+    least, high, low = more.min(-1), np.zeros(visible.shape, bool), np.zeros(visible.shape, bool)
+    limit = max(_MIRRORED, 4 * scatter.max())
+    high[place] = (least > limit) & (least > _NEUTRAL * more.max(-1))
+    low[place] = least > 0.7 * limit
+    inside = light[pupil.radii(visible.shape) < 0.9]
+    if len(inside):
+        window = np.quantile(inside, 0.9, axis=0) - np.quantile(inside, 0.1, axis=0)
+        if (window > 2 * scatter).any():
+            share = more / np.maximum(window, 1e-6)
+            high[place] |= (share.min(-1) > 0.3) & (share.max(-1) < 2)
+
+    def sharp(region, at):
+        return high[at].mean() > _SHARP
+
+    found = regions_that(sharp, high | low)
+    # Lids are redder than the rest of a ring, above and below.
+    tint = smooth[:, 0] / np.maximum(smooth.sum(-1), 1e-4)
+    tint -= np.asarray(ndimage.median(tint, ring, np.arange(16)))[ring]
+    upright = abs(np.sin(_angles(visible.shape, limbus)[place])) > 0.6
+    steps = np.zeros(visible.shape)
+    steps[place] = (upright & (tint > _SKIN)).astype(int) * (1 + (depth[place] > 0.8))
+    found |= filters.apply_hysteresis_threshold(steps, 0.5, 1.5)
+    return np.asarray(ndimage.binary_dilation(found, iterations=2 * width))
+
+
+def _veil(part: Part, pupil: Ellipse, visible: Mask) -> np.ndarray:
+    """Return the reflections' colour over the pupil, which is black, at most most of the iris's."""
+    inside = (pupil.radii(visible.shape) < 0.8) & ~part.outside
+    darkest = 0.9 * np.quantile(part.pixels[visible], 0.02, axis=0)
+    if not inside.any():
+        return 0 * darkest
+    return np.clip(np.quantile(part.pixels[inside], 0.25, axis=0), 0, np.maximum(darkest, 0))
+
+
+def _angles(shape: tuple[int, ...], outline: Ellipse) -> Brightness:
+    """Return the angle of every pixel about a middle, 0 to 2π, 0 to the right."""
+    row, column = np.ogrid[: shape[0], : shape[1]]
+    x, y = outline.centre
+    return np.arctan2(y - row, column - x) % (2 * np.pi)
+
+
+def _doubts(
+    white: WhiteOfEye, veil: np.ndarray, iris: np.ndarray, hidden: float
+) -> tuple[str, ...]:
+    doubts = []
+    if len(white.sides) < 2:
+        doubts.append(
+            "the white is seen on one side of the iris only, so that the light on the iris is less "
+            "certain"
+        )
+    if white.burnt > _BURNT:
+        doubts.append(
+            f"{100 * white.burnt:.0f} % of the white is overexposed: the iris may be darker than "
+            "is said"
+        )
+    if (veil / iris).max() > _VEILED:
+        doubts.append(
+            f"reflections make up to {100 * (veil / iris).max():.0f} % of the iris's light, as the "
+            "pupil shows"
+        )
+    if hidden > _HIDDEN:
+        doubts.append(f"{100 * hidden:.0f} % of the iris is hidden")
+    return tuple(doubts)
