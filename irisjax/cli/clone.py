@@ -1,9 +1,10 @@
 """`irisjax clone`: a photograph of an eye in, an iris with error bars out."""
 
 import time
+from collections.abc import Callable
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import numpy as np
@@ -11,12 +12,14 @@ import typer
 from tqdm import tqdm
 
 from irisjax import io
+from irisjax._types import PRNGKey
 from irisjax.cli import options as opt
 from irisjax.cli.compiled import kept_tables
 from irisjax.cli.files import check_folder
 from irisjax.cli.scenes import lamps
 from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
 from irisjax.io.clones import CLONE_FILES, OVERLAY, files_of, overlay_of
+from irisjax.io.eye_colours import COLOUR_FILES, colour_files
 from irisjax.io.photographs import read_photograph
 from irisjax.numerics.checks import Range
 from irisjax.photo import clone as cloning
@@ -27,8 +30,9 @@ from irisjax.photo.clone import (
     doubts_of,
     per_cent,
 )
-from irisjax.photo.photograph import Ellipse
-from irisjax.plot.beside import beside, here
+from irisjax.photo.eye_colour import RINGS, EyeColour, RegionColour, colours_of
+from irisjax.photo.photograph import Ellipse, Photograph
+from irisjax.plot.beside import Later, beside, here
 from irisjax.render.environment import Environment
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.separable import Separable
@@ -41,7 +45,9 @@ _DEFAULTS = cloning.CloneSettings()
 
 
 class ClonePicture(opt.Group, panel="Photograph"):
-    photograph: Path = opt.argument("JPEG, PNG, WebP, HEIC, TIFF, EXR or camera raw", "PHOTO", ...)
+    photograph: Path | None = opt.argument(
+        "JPEG, PNG, WebP, HEIC, TIFF, EXR or camera raw", "PHOTO"
+    )
     eye: str | None = opt.option(
         "which of several eyes: left or right as the picture shows them, or its number from the "
         "left; default: the one that is seen best",
@@ -140,9 +146,38 @@ class CloneModel(opt.Group, panel="Model"):
 
 
 class CloneResults(opt.Group, panel="Files"):
-    output: Path = opt.output("folder for the clone", "DIR", ...)
+    ONLY_WITH: ClassVar[opt.OnlyWith] = {"resume": ("batch", ())}
+
+    output: Path = opt.output("folder for the clone, or with --batch for a folder each", "DIR", ...)
     stop_after: str = opt.choice("last stage", cloning.STAGES, "posterior")
+    colour: bool = opt.flag(
+        "only the colours of the eye, by rings, corrected for the light by the white of the eye"
+    )
+    batch: Path | None = opt.option(
+        "many photographs: a folder, or a pattern such as 'eyes/*.jpg'", metavar="SOURCE"
+    )
+    resume: bool = opt.flag("continue a stopped --batch into the same DIR")
     overwrite: bool = opt.flag("replace a clone in that folder")
+
+    @property
+    def summary(self) -> str:
+        """The file that every finished folder has."""
+        return COLOUR_FILES[0] if self.colour else "clone.json"
+
+
+class CloneRun(NamedTuple):
+    """What a photograph gave: the last stage, files by name, and what is doubtful.
+
+    Attributes:
+        pictures: The clone's picture and the photograph's, if it came so far.
+        colours: The eye's colours, if they were asked for and the outlines are sure.
+    """
+
+    found: cloning.Outlined
+    files: dict[str, bytes]
+    doubts: tuple[Doubt, ...]
+    pictures: cloning.PictureDifference | None = None
+    colours: EyeColour | None = None
 
 
 @opt.grouped
@@ -153,74 +188,148 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
 
     Exit status: 0; 3 with warnings if an outline is doubtful (give --limbus and
     --pupil), a stage fails (the results of those before it are written), the model
-    does not follow the photograph, or the chain is not long enough; 2 for wrong
-    input.
+    does not follow the photograph, the chain is not long enough, or a photograph of
+    a --batch failed (doubtful ones are counted, and marked in the table); 2 for
+    wrong input.
     """
-    folder = results.output
-    check_folder(folder, "clone.json", "a clone", results.overwrite)
-    stated, settings = picture.given(), _settings(picture, model)
-    photograph = read_photograph(picture.photograph)
-    timings: dict[str, float] = {}
-    wanted = cloning.STAGES[: cloning.STAGES.index(results.stop_after) + 1]
-    drawing = beside() if "pigments" in wanted else nullcontext(here)
-    with drawing as draw, tqdm(total=len(wanted), unit="stage", disable=None) as bar:
+    if (picture.photograph is None) == (results.batch is None):
+        raise ValueError("give the PHOTO of an eye, or --batch with a folder of photographs")
+    if results.colour and "stop_after" in results.typed:
+        raise ValueError("--colour does not go with --stop-after: it needs the outlines only")
+    wanted = _stages(results)
+    if results.batch is not None:
+        from irisjax.cli import clones
 
-        @contextmanager
-        def stage(name: str):
-            bar.set_description(name)
-            begin = time.perf_counter()
-            yield
-            timings[name] = time.perf_counter() - begin
-            bar.update()
+        with beside() if "pigments" in wanted else nullcontext(here) as draw:
+            raise typer.Exit(clones.clone_many(results.batch, picture, model, results, draw))
+    assert picture.photograph is not None
+    what = "an eye's colours" if results.colour else "a clone"
+    check_folder(results.output, results.summary, what, results.overwrite)
+    with beside() if "pigments" in wanted else nullcontext(here) as draw:
+        made = run_clone(picture.photograph, picture, model, results, results.output, draw)
+    for note in made.found.photograph.notes:
+        opt.tell(f"{picture.photograph}: {note}")
+    if made.pictures is not None:
+        print(
+            f"difference of the pictures, RMS: {per_cent(made.pictures.rms)} % (R, G, B); by the "
+            f"pigments alone {per_cent(made.pictures.rms_of_pigments)} %"
+        )
+    for line in () if made.colours is None else colour_lines(made.colours):
+        print(line)
+    report(made.found, picture.cross_polarised, results.output, made.doubts)
+    raise typer.Exit(_NOT_SURE if made.doubts else 0)
 
-        how = {"last": results.stop_after, "stage": stage, "tables": kept_tables}
-        key = jax.random.key(model.seed)
-        run = cloning.clone_eye(photograph, settings, stated, **how, key=key)
-        found, both, drawn, failed = next(run), None, {}, ()
-        try:
-            # No stage follows a doubtful outline.
-            for known in () if doubtful_outlines(found) else run:
-                found = known
-                last = results.stop_after == "pigments" or isinstance(known, cloning.Coloured)
-                # Before the posterior, which takes longest.
-                if both is None and isinstance(known, cloning.Fitted) and last:
-                    both, eye = compare_with_photograph(known), known.scene().eye
-                    pictures = both.photograph, both.rendered
-                    radius = float(0.5 * (eye.pupil_radius + eye.iris_radius))
-                    along = *both.arc(known, radius), radius
-                    drawn = {
-                        "side_by_side.png": draw("side_by_side", *pictures),
-                        "differences.png": draw("differences", *pictures, both.clear),
-                        "luminance.png": draw("luminance_profile", *along),
-                    }
-        except ValueError as error:
-            if not isinstance(found, cloning.Shaped):
-                folder.mkdir(parents=True, exist_ok=True)
-                io.write_together({folder / OVERLAY: overlay_of(found)})
-                raise ValueError(f"{error}; look at {folder / OVERLAY}") from None
-            said = f"{wanted[len(timings)]}: {error}; the stages before it are written"
-            failed = (Doubt("model", said),)
-        bar.close()
-        for note in photograph.notes:
-            opt.tell(f"{picture.photograph}: {note}")
-        given = {n: v for group in (picture, model) for n, v in vars(group).items() if n != "typed"}
-        words = {n: str(v) if isinstance(v, Path) else v for n, v in given.items()}
-        doubts = doubts_of(found, None if both is None else both.rms_of_pigments) + failed
-        files = files_of(found, words, timings, both, doubts)
-        if both is not None:
-            own = per_cent(both.rms_of_pigments)
-            print(
-                f"difference of the pictures, RMS: {per_cent(both.rms)} % (R, G, B); by the "
-                f"pigments alone {own} %"
-            )
-            files |= {name: later() for name, later in drawn.items()}
-            files[PHOTOGRAPH] = encode_photograph(both.balanced)
+
+def run_clone(
+    path: Path,
+    picture: ClonePicture,
+    model: CloneModel,
+    results: CloneResults,
+    folder: Path,
+    draw: Callable[..., Later],
+    quiet: bool = False,
+) -> CloneRun:
+    """Clone a photograph, or measure its colours, by these options, and write the files into a
+    folder in place of those of an earlier run; `quiet` without a bar. `ValueError` where there is
+    no result; outlines that were found are then in the folder.
+    """
+    photograph, stated = read_photograph(path), picture.given()
+    given = {n: v for group in (picture, model) for n, v in vars(group).items() if n != "typed"}
+    given |= {"photograph": path}
+    words: dict[str, object] = {n: str(v) if isinstance(v, Path) else v for n, v in given.items()}
+    key = jax.random.key(model.seed)
+
+    def shown(found: cloning.Outlined, error: ValueError) -> ValueError:
+        folder.mkdir(parents=True, exist_ok=True)
+        io.write_together({folder / OVERLAY: overlay_of(found)})
+        return ValueError(f"{error}; look at {folder / OVERLAY}")
+
+    if results.colour:
+        made = _coloured(photograph, stated, words, shown, key)
+        known = {*COLOUR_FILES}
+    else:
+        settings = _settings(picture, model)
+        with tqdm(total=len(_stages(results)), unit="stage", disable=quiet or None) as bar:
+            made = _cloned(photograph, settings, stated, words, results, draw, bar, shown, key)
+        known = {*CLONE_FILES, *_FIGURES, PHOTOGRAPH}
     folder.mkdir(parents=True, exist_ok=True)
-    io.write_together({folder / name: data for name, data in files.items()})
-    for name in {*CLONE_FILES, *_FIGURES, PHOTOGRAPH} - set(files):  # of an earlier, longer run
+    io.write_together({folder / name: data for name, data in made.files.items()})
+    for name in known - set(made.files):  # of an earlier, longer run
         (folder / name).unlink(missing_ok=True)
-    report(found, picture.cross_polarised, folder, doubts)
-    raise typer.Exit(_NOT_SURE if doubts else 0)
+    return made
+
+
+def _stages(results: CloneResults) -> tuple[str, ...]:
+    last = "outlines" if results.colour else results.stop_after
+    return cloning.STAGES[: cloning.STAGES.index(last) + 1]
+
+
+def _coloured(photograph: Photograph, stated: cloning.Given, words, shown, key) -> CloneRun:
+    """The colours of an eye whose outlines are sure."""
+    found = cloning.outline_eye(photograph, stated)
+    doubts, measured = doubts_of(found), None
+    if not doubtful_outlines(found):
+        try:
+            measured = colours_of(found, key=key)
+        except ValueError as error:
+            raise shown(found, error) from None
+        doubts += tuple(Doubt("light", said) for said in measured[0].doubts)
+    files = colour_files(found, measured, words, doubts)
+    return CloneRun(found, files, doubts, colours=None if measured is None else measured[0])
+
+
+def _cloned(
+    photograph: Photograph,
+    settings: cloning.CloneSettings,
+    stated: cloning.Given,
+    words: dict[str, object],
+    results: CloneResults,
+    draw: Callable[..., Later],
+    bar: Any,
+    shown: Callable[[cloning.Outlined, ValueError], ValueError],
+    key: PRNGKey,
+) -> CloneRun:
+    """The stages of a clone, shown by the bar."""
+    timings: dict[str, float] = {}
+
+    @contextmanager
+    def stage(name: str):
+        bar.set_description(name)
+        begin = time.perf_counter()
+        yield
+        timings[name] = time.perf_counter() - begin
+        bar.update()
+
+    how = {"last": results.stop_after, "stage": stage, "tables": kept_tables}
+    run = cloning.clone_eye(photograph, settings, stated, **how, key=key)
+    found, both, drawn, failed = next(run), None, {}, ()
+    try:
+        # No stage follows a doubtful outline.
+        for known in () if doubtful_outlines(found) else run:
+            found = known
+            last = results.stop_after == "pigments" or isinstance(known, cloning.Coloured)
+            # Before the posterior, which takes longest.
+            if both is None and isinstance(known, cloning.Fitted) and last:
+                both, eye = compare_with_photograph(known), known.scene().eye
+                pictures = both.photograph, both.rendered
+                radius = float(0.5 * (eye.pupil_radius + eye.iris_radius))
+                along = *both.arc(known, radius), radius
+                drawn = {
+                    "side_by_side.png": draw("side_by_side", *pictures),
+                    "differences.png": draw("differences", *pictures, both.clear),
+                    "luminance.png": draw("luminance_profile", *along),
+                }
+    except ValueError as error:
+        if not isinstance(found, cloning.Shaped):
+            raise shown(found, error) from None
+        said = f"{_stages(results)[len(timings)]}: {error}; the stages before it are written"
+        failed = (Doubt("model", said),)
+    doubts = doubts_of(found, None if both is None else both.rms_of_pigments) + failed
+    files = files_of(found, words, timings, both, doubts)
+    if both is not None:
+        files |= {name: later() for name, later in drawn.items()}
+        files[PHOTOGRAPH] = encode_photograph(both.balanced)
+    return CloneRun(found, files, doubts, both)
 
 
 def report(
@@ -258,7 +367,7 @@ def report(
             )
         if found.lighting.found == 0:
             opt.tell("no highlight on the cornea shows a lamp: light from all round is assumed")
-    if isinstance(found, cloning.Sampled) and any(d.kind == "model" for d in doubts):
+    if isinstance(found, cloning.Sampled) and pigments_withheld(found, doubts):
         print("the pigments are not printed, for the doubts above; clone.json has them")
     elif isinstance(found, cloning.Sampled):
         print(f"{'parameter':<20}{'median':>10}{'95 %':>22}{'contraction':>13}")
@@ -267,6 +376,34 @@ def report(
             print(f"{name:<20}{e.median:>10.3g}{span:>22}{e.contraction:>13.2f}")
         print("the intervals allow for a thickness and shading unlike the model's")
     print(f"written: {folder}")
+
+
+def colour_lines(colours: EyeColour) -> list[str]:
+    """Return the colours of an eye as sentences."""
+    lines = ["colours in L*a*b* (D65) with 95 % intervals, by the white that colour.png marks:"]
+    for name, region in colours.regions.items():
+        where = f"{100 * region.share:.0f} % visible"
+        if name in RINGS:
+            low, high = (f"{100 * border:.0f}" for border in RINGS[name])
+            where = f"{low} to {high} % of the way from pupil to limbus, {where}"
+        lines.append(f"{name} ({where}): {_lab_in_words(region)}")
+    for region in colours.dominant:
+        lines.append(f"{100 * region.share:.0f} % of what is visible: {_lab_in_words(region)}")
+    if colours.difference is not None:
+        spans = zip("Lab", *colours.difference, strict=True)
+        off = ", ".join(f"{c}* {x:+.0f} ({low:+.0f} to {high:+.0f})" for c, x, low, high in spans)
+        lines.append(f"the pupillary ring differs from the ciliary ring by {off}")
+    return lines
+
+
+def _lab_in_words(region: RegionColour) -> str:
+    spans = zip("Lab", region.lab, region.low, region.high, strict=True)
+    return ", ".join(f"{c}* {x:.0f} ({low:.0f} to {high:.0f})" for c, x, low, high in spans)
+
+
+def pigments_withheld(found: cloning.Outlined, doubts: tuple[Doubt, ...]) -> bool:
+    """Return whether a clone has no pigments that mean something."""
+    return not isinstance(found, cloning.Sampled) or any(d.kind == "model" for d in doubts)
 
 
 def _settings(picture: ClonePicture, model: CloneModel) -> cloning.CloneSettings:

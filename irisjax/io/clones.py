@@ -55,7 +55,7 @@ def files_of(
     of the command, seconds by the names of stages, and what is doubtful.
     """
     said = {kind: [d.sentence for d in doubts if d.kind == kind] for kind in DOUBTS}
-    summary = _summary(clone, settings, timings) | {"doubts": said}
+    summary = summary_of(clone, settings, timings) | {"doubts": said}
     if pictures is not None:
         summary["picture_rms"] = pictures.rms
         summary["picture_rms_of_pigments"] = pictures.rms_of_pigments
@@ -94,10 +94,10 @@ def overlay_of(clone: Outlined) -> bytes:
     return encode_png(OVERLAY, draw_overlay(clone), remark=_REMARK)[0]
 
 
-def _summary(
+def summary_of(
     clone: Outlined, settings: Mapping[str, object], timings: Mapping[str, float]
 ) -> dict[str, object]:
-    """The contents of `clone.json`."""
+    """Return the contents of `clone.json`, but for the doubts."""
     outlines = clone.boundaries
     found: dict[str, object] = {
         "photograph": clone.photograph.name,

@@ -1,5 +1,6 @@
 """`irisjax clone`: what it writes, prints and refuses."""
 
+import csv
 import json
 from functools import partial
 from pathlib import Path
@@ -34,6 +35,7 @@ FLAT = (
     "freckles.png",
     "deconvolved.png",
 )
+ENDS = "q2.5", "lab", "q97.5"
 POSED = {"tilt_deg", "tilt_sd_deg", "distance_mm", "azimuth_deg", "pupil_radius_mm"}
 
 
@@ -193,7 +195,12 @@ WRONG = [
     (("grey.png", "-o", "words.jpg"), "words.jpg: is a file, not a folder"),
     (("grey.png", "-o", "words.jpg/inside"), "words.jpg: is a file, not a folder"),
     (("grey.png",), "grey.png: no iris found; give --limbus"),
-    ((), "Missing argument 'PHOTO'"),
+    ((), "give the PHOTO of an eye, or --batch with a folder of photographs"),
+    (("grey.png", "--batch", "."), "give the PHOTO of an eye, or --batch with a folder"),
+    (("grey.png", "--resume"), "--resume means something only with --batch"),
+    (("grey.png", "--colour", "--stop-after", "pose"), "--colour does not go with --stop-after"),
+    (("--batch", "nowhere"), "nowhere: no photographs there"),
+    (("--batch", ".", "--limbus", "9,9,4,4,0"), "--batch does not go with --limbus"),
 ]
 
 
@@ -280,6 +287,51 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
     assert any("thickness hardly shows" in doubt.sentence for doubt in doubts_of(found))
     vars(found).update(boundaries=found.boundaries._replace(limbus_confidence=0.2))
     assert any("limbus is doubtful (confidence 0.20)" in d.sentence for d in doubts_of(found))
+
+
+def test_colours_of_an_eye_and_of_a_folder(irisjax, tmp_path, photo, truth, monkeypatch):
+    """One photograph alone, and the same among others, one of which is broken; a folder that a
+    stopped run left half made is made again, and no other.
+    """
+    limbus, pupil = (
+        Ellipse(tuple(e["centre_px"]), tuple(e["semi_axes_px"]), e["angle"])
+        for e in (truth["limbus"], truth["pupil"])
+    )
+    known = Boundaries(limbus, pupil, 0.9, 0.9)
+    monkeypatch.setattr(cloning, "outline_eye", lambda p, given: cloning.Outlined(p, known))
+    status, out, err = irisjax("clone", photo, "--colour", "-o", tmp_path / "one")
+    assert (status, _files(tmp_path / "one")) == (0, {"colour.json", "colour.png", "outlines.png"})
+    assert "ciliary ring (45 to 90 % of the way from pupil to limbus, " in out, err
+    assert "the pupillary ring differs from the ciliary ring by L* +" in out
+    found = json.loads((tmp_path / "one" / "colour.json").read_text())
+    ring = found["regions"]["ciliary ring"]
+    assert all(low < x < high for low, x, high in zip(*(ring[n] for n in ENDS), strict=True))
+    eyes, folder = tmp_path / "eyes", tmp_path / "all"
+    eyes.mkdir()
+    (eyes / "a.png").write_bytes(photo.read_bytes())
+    (eyes / "a.jpg").write_text("not a picture")
+    with Image.open(photo) as image:
+        image.convert("L").convert("RGB").save(eyes / "grey.png")
+    run = "clone", "--batch", eyes, "--colour", "-o", folder
+    status, out, err = irisjax(*run)
+    assert status == 3 and "2 of 3 photographs failed: a.jpg, grey.png" in err
+    with (folder / "clones.csv").open() as file:
+        rows = {row["file"]: row for row in csv.DictReader(file)}
+    assert rows["a.png"]["status"] == "ok" and "not a picture" in rows["a.jpg"]["doubts"]
+    assert "the photograph has no colours; look at" in rows["grey.png"]["doubts"]
+    assert float(rows["a.png"]["ciliary_ring_L"]) == pytest.approx(ring["lab"][0], rel=1e-4)
+    assert float(rows["a.png"]["limbus_confidence"]) > 0.5 and rows["a.png"]["dominant_1_b_low"]
+    with Image.open(folder / "contact_sheet.jpg") as sheet:
+        assert sheet.size == (2 * 488, 2 * (278 + 30))
+    one_line(irisjax(*run), "exists; --resume continues it, --overwrite starts again")
+    made = folder / "a.png" / "colour.json"
+    made.write_text("as it was")
+    assert irisjax(*run, "--resume")[0] == 3 and made.read_text() == "as it was"
+    made.unlink()
+    (eyes / "grey.png").unlink()
+    (eyes / "a.jpg").rename(eyes / "b.jpg")
+    assert irisjax(*run[:2], eyes / "*.png", *run[3:], "--resume")[0] == 0
+    assert json.loads((folder / "a" / "colour.json").read_text())["regions"]
 
 
 @pytest.mark.slow  # compiles for minutes
