@@ -351,14 +351,17 @@ def _denoised(noisy: np.ndarray, tissue: Tissue) -> np.ndarray:
     thick = tissue.thickness
     cell = 2 * HALF / len(thick)
     # Few paths are far brighter than all others of their neighbourhood.
+    failed = ~np.isfinite(noisy).all(-1)
+    noisy = np.where(failed[..., None], 0, noisy)
     near = ndimage.gaussian_filter(noisy, (2, 2, 0))
     noisy = np.minimum(noisy, 4 * near + 0.01)
     blurred = [ndimage.gaussian_filter(thick, width / cell) for width in (0.08, 0.25)]
     features = np.stack([np.ones_like(thick), thick, *blurred, *tissue.abl], -1)
     scale = features[..., 1:].std((0, 1)) + 1e-9
     inside = (tissue.pupil > 0) & (thick > 0)
+    sound = inside & ~failed
     features[..., 1:] /= scale
-    values = np.concatenate([features, noisy], -1) * inside[..., None]
+    values = np.concatenate([features, noisy], -1) * sound[..., None]
     count = features.shape[-1]
 
     def mean(a, b):
@@ -403,7 +406,9 @@ def traced_slab(
     place = mi.ScalarTransform4f()
     box = place.translate([-HALF, -HALF, -DEPTH]).scale([2 * HALF, 2 * HALF, DEPTH])
     total = scattering + absorbing
-    cells = np.ascontiguousarray(density[..., None] * total, np.float32)
+    cells = np.array(density[..., None] * total, np.float32)
+    # A corner, where no tissue is, is the densest: elsewhere delta tracking divides by no zero.
+    cells[:, 0, 0] = 1.02 * cells.max((0, 1, 2))
     stroma = {
         "type": "heterogeneous",
         "sigma_t": {
@@ -420,7 +425,7 @@ def traced_slab(
     rows, columns = sheet.shape[:2]
     scene = {
         "type": "scene",
-        "integrator": {"type": "volpathmis", "max_depth": _BOUNCES, "rr_depth": 6},
+        "integrator": {"type": "volpath", "max_depth": _BOUNCES, "rr_depth": 6},
         "stroma": {
             "type": "cube",
             "to_world": place.translate([0, 0, -DEPTH / 2]).scale([HALF, HALF, DEPTH / 2]),
