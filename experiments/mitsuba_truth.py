@@ -9,6 +9,7 @@ import math
 from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 from scipy import ndimage
 
@@ -20,7 +21,6 @@ from irisjax.photo.clone import (
     CloneSettings,
     Coloured,
     Given,
-    Sampled,
     clone_eye,
     compare_with_photograph,
     doubtful_outlines,
@@ -28,7 +28,7 @@ from irisjax.photo.clone import (
     outline_eye,
 )
 from irisjax.photo.photograph import Ellipse
-from irisjax.photo.pigments import concentrations_of
+from irisjax.photo.pigments import concentrations_of, parameter_values
 from irisjax.photo.texels import OwnPigments
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.pigments import extinction
@@ -36,6 +36,7 @@ from irisjax.tissue.pigments import extinction
 ABOUT = ("clones of data/photographs/volumetric, all simulated",)
 STEP = 0.05
 """Of radii, mm: correlations are of deviations from the mean at a radius."""
+_DRAWS = 20_000
 _WIDEST = 5.2  # radius of texels that are compared, mm: beyond, the white fades in
 COLUMNS = (
     *("photograph", "limbus_off", "pupil_off", "limbus_confidence", "pupil_confidence", "given"),
@@ -50,10 +51,9 @@ COLUMNS = (
 
 
 def main(key, quick=False, out=RESULTS, folder=FOLDER):
-    """Write a CSV (quick: one photograph, few steps of the posterior)."""
-    settings = CloneSettings(steps=200) if quick else CloneSettings()
+    """Write a CSV (quick: one photograph)."""
     truths = read_truth(folder)[: 1 if quick else None]
-    rows = (row_of(folder, t, settings, key) for t in truths)
+    rows = (row_of(folder, truth, CloneSettings(), key) for truth in truths)
     write(out / "mitsuba_truth.csv", ABOUT, COLUMNS, rows)
 
 
@@ -98,8 +98,8 @@ def row_of(folder: Path, truth: dict[str, Any], settings: CloneSettings, key) ->
     # Outlines that the command would refuse are given.
     refused = doubtful_outlines(outlined)
     given = Given(**{n: ellipse_of(truth[n]) for n in refused})
-    clone = list(clone_eye(photograph, settings, given, key=key))[-1]
-    assert isinstance(clone, Sampled)
+    clone = list(clone_eye(photograph, settings, given, last="texels"))[-1]
+    assert isinstance(clone, Coloured)
     assert clone.texels is not None
     pose, shown = clone.pose, compare_with_photograph(clone)
     doubts = doubts_of(clone, shown.rms_of_pigments)
@@ -112,7 +112,7 @@ def row_of(folder: Path, truth: dict[str, Any], settings: CloneSettings, key) ->
         *(math.degrees(v) for v in (pose.tilt, *pose.tilt_interval)),
         math.degrees(truth["camera"]["polar"]),
         *_maps_against_truth(clone, own, folder, truth),
-        *np.quantile(_abl_melanin(clone), [0.5, 0.025, 0.975]).tolist(),
+        *np.quantile(_abl_melanin(clone, key), [0.5, 0.025, 0.975]).tolist(),
         true_abl_melanin(folder, truth),
         *(float(v) for v in (*shown.rms, *shown.rms_of_pigments)),
         *(own.gain, own.outside, own.explained),
@@ -122,10 +122,12 @@ def row_of(folder: Path, truth: dict[str, Any], settings: CloneSettings, key) ->
     return row
 
 
-def _abl_melanin(clone: Sampled) -> np.ndarray:
-    """Samples of the ABL's melanin, µg/mm²."""
-    drawn = clone.posterior.samples
-    both = np.asarray(drawn["abl_eumelanin"]) + np.asarray(drawn["abl_pheomelanin"])
+def _abl_melanin(clone: Coloured, key) -> np.ndarray:
+    """Draws of the ABL's melanin, µg/mm², from the normal approximation of the global fit."""
+    fit = clone.fit
+    z = jax.random.multivariate_normal(key, fit.z, fit.covariance, (_DRAWS,), method="eigh")
+    drawn = parameter_values(z.T)
+    both = np.asarray(drawn["abl_eumelanin"] + drawn["abl_pheomelanin"])
     return both * float(clone.base.abl_thickness)
 
 
