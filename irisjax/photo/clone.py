@@ -627,21 +627,21 @@ def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tup
             "tilted; resize it to its true proportions"
         )
         doubts.append(Doubt("outlines", said))
+    own = found.texels if isinstance(found, Coloured) else None
     model: list[str] = []
     if isinstance(found, Fitted):
         if found.photograph.grey:
             model.append("the photograph has no colours: the pigments are meaningless")
         model += (odd := pigments.misfits(found.fit, found.windows))
-        if odd and found.response is not None:
-            model.append(
-                f"the thickness is that of a usual iris, whose response is {found.response:.2f}"
-            )
-        elif found.response is not None and found.response < _LEAST_RESPONSE:
+        # Where every texel has a thickness of its own, that by the response is not the clone's.
+        response = found.response if own is None else None
+        if odd and response is not None:
+            model.append(f"the thickness is that of a usual iris, whose response is {response:.2f}")
+        elif response is not None and response < _LEAST_RESPONSE:
             model.append(
                 f"thickness hardly shows in this iris (1 % of it changes the light by "
-                f"{max(found.response, 0):.2f} %): the map is little more than an average iris's"
+                f"{max(response, 0):.2f} %): the map is little more than an average iris's"
             )
-    own = found.texels if isinstance(found, Coloured) else None
     if own is not None and own.gain != 1:
         said = (
             f"the iris's colours need {own.gain:g} times the exposure that its brightness tells: "

@@ -33,7 +33,7 @@ from irisjax.render import polynomials as products
 from irisjax.render.illumination import Illumination
 from irisjax.render.project import View, onto_picture
 from irisjax.render.scene import Scene
-from irisjax.render.shading import Front
+from irisjax.render.shading import Front, ranges_of
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 
@@ -174,7 +174,12 @@ def colour_iris(
     light = light if exits is None else light * exits
     flat = np.moveaxis(np.asarray(light), -1, 0).reshape(light.shape[-1], -1)
 
+    small = np.ones((2, 2), np.float32)
+    alike = IrisMaps(stroma_depth=small, eumelanin=small, pheomelanin=small)
+    alike = ranges_of(iris, alike)  # of the types that those of the maps have: one program
+
     def respond(ranges: Scales) -> TexelResponse:
+        ranges = jax.tree.map(lambda r, of: jnp.asarray(r, of.dtype), ranges, alike)
         found: Any = picture.respond(scene, ranges)
         terms = found.coefficients
         terms = terms if mixtures is None else jnp.einsum("pkc,kr->prc", terms, mixtures)

@@ -269,7 +269,6 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
         "off by factors of 1.65, 1.49, 1.35 in R, G, B",
         "abl_eumelanin is 90 mg/ml, far from what is usual",
         "did not converge",
-        "the thickness is that of a usual iris, whose response is 0.05",
         "differs from the photograph by 6.0, 4.0, 3.0 % RMS",
         "need 4 times the exposure that its brightness tells",
         "20 % of the iris has colours that the model cannot make",
@@ -283,6 +282,11 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
     assert "of 2 eyes the one in columns 445 to 754, rows 295 to 604 is cloned (--eye" in out
     assert "the pigments are not printed" in out
     assert "camera: 5.7 (0.0 to 17.2) degrees" in out and str(tmp_path) in out
+    # The thickness by one response is doubted where texels have none of their own.
+    usual = "the thickness is that of a usual iris, whose response is 0.05"
+    assert not any(usual in doubt for doubt in doubts)
+    vars(found).update(texels=None)
+    assert any(usual in doubt.sentence for doubt in doubts_of(found))
     vars(found).update(fit=fit._replace(z=np.zeros(10), rms=np.full(3, 0.01), converged=True))
     assert any("thickness hardly shows" in doubt.sentence for doubt in doubts_of(found))
     vars(found).update(boundaries=found.boundaries._replace(limbus_confidence=0.2))

@@ -5,7 +5,8 @@ import dataclasses
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from window_scenes import BASE, EYE, LIGHTS, SHAPE
+from window_scenes import BASE as USUAL
+from window_scenes import EYE, LIGHTS, SHAPE
 
 from irisjax.photo.light import find_veil
 from irisjax.photo.photograph import Ellipse
@@ -21,6 +22,8 @@ from irisjax.render.separable import Separable
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.ilit.exact import IlitExact
 
+# As fitted irides are, so that all pictures share a program.
+BASE = USUAL.replace(pheomelanin_abl_fraction=USUAL.abl_fraction)
 CAMERA = Camera(width=13.0, size=SHAPE)
 BARE = EYE.replace(cornea=None)
 INTEGRATOR = Separable(degrees=(2, 6, 6, 6, 2), solver=IlitExact(6))
@@ -40,7 +43,8 @@ def two_colours() -> IrisMaps:
     depth = 0.4 * np.exp(0.4 * np.sin(6 * angle)) * np.ones((1, RADII))
     maps = depth, np.where(ring, 0.5, 1.5), np.where(ring, 6.0, 1.0)
     names = "stroma_depth", "eumelanin", "pheomelanin"
-    return IrisMaps(**dict(zip(names, map(jnp.asarray, maps), strict=True)))
+    maps = (jnp.asarray(m, jnp.float32) for m in maps)
+    return IrisMaps(**dict(zip(names, maps, strict=True)))
 
 
 def lay_flat(picture, known) -> Unrefracted:
