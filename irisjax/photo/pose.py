@@ -10,7 +10,6 @@ import numpy as np
 import scipy.optimize
 from jaxtyping import Float
 from numpy.typing import ArrayLike
-from scipy import special
 
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.sclera import limbus_depth
@@ -37,9 +36,6 @@ FLATTER = 1.25
 """Flattening of a tilted limbus over that of the pupil, which the cornea shows turned towards the
 camera.
 """
-# Standard deviation of either component of the flattening that limbus and pupil determine together.
-# The error of measured outlines hardly adds to it: 0.003 if lids hide half of the limbus.
-_FLATTENING = float(1 / np.hypot(1 / LIMBUS_OVAL, 1 / (FLATTER * PUPIL_OVAL)))
 _PEOPLE = [0, 2, 2, 0, 0, 4, 5, 12, 19, 23, 36, 44, 52, 41]
 _PEOPLE += [39, 37, 43, 30, 28, 12, 15, 10, 4, 1, 0, 2, 0]
 _DIAMETERS = np.linspace(10.5, 13.1, len(_PEOPLE)).round(1).tolist()
@@ -79,7 +75,7 @@ class Pose(NamedTuple):
         eye: The eye with its pupil.
         pupil_centre: Observed centre of the pupil on the iris, mm from the axis.
         tilt: Angle between the eye's axis and the camera, radians.
-        tilt_sd: Standard deviation of the tilt, see `tilts_allowed`.
+        tilt_sd: Standard deviation of the tilt, see `tilts_of_people`.
         tilt_interval: Interval that holds 95 % of the tilts.
         distance: Distance to the limbus, mm; `None` without a focal length.
         side: What determines to which side the eye is tilted, `"pupil"` or `"given"`.
@@ -114,7 +110,7 @@ def find_pose(
     *,
     focal_px: float | None = None,
     azimuth: float | None = None,
-    flattening_sd: tuple[float, float] | None = None,
+    flattening_sd: tuple[float, float] = (0.0, 0.0),
 ) -> Pose:
     """Find the pose of an eye from its outlines  [F09 Eqs. 1, 2].
 
@@ -131,15 +127,12 @@ def find_pose(
         azimuth: Azimuth of the camera as seen from the eye (radians, from the picture's right to
             its top), if the side of the tilt is known.
         flattening_sd: Standard deviations of the components of the flattening of limbus and pupil,
-            by which measured outlines err. With them, limbi are expected to be flat by
-            `LIMBUS_FLAT`, tilts to be as usual in photographs, and the interval allows for files
-            that are stretched. Without them the limbus is round and every direction of the camera
-            equally likely.
+            by which measured outlines err. Limbi are expected to be flat by `LIMBUS_FLAT`, tilts to
+            be as usual in photographs, and the interval allows for files that are stretched.
     """
-    measured = flattening_sd is not None
     # The eye that is drawn has a round limbus: half of what people have, in the middle.
-    flat = np.array([0.5 * LIMBUS_FLAT if measured else 0.0, 0.0])
-    spread = np.hypot([LIMBUS_OVAL, PUPIL_OVAL], flattening_sd or 0.0)
+    flat = np.array([0.5 * LIMBUS_FLAT, 0.0])
+    spread = np.hypot([LIMBUS_OVAL, PUPIL_OVAL], flattening_sd)
     ratio = min(limbus.semi_axes[1] / limbus.semi_axes[0], 1.0)
     radius_mm = float(eye.limbus_radius)
     distance = radius_mm * focal_px / limbus.semi_axes[0] if focal_px else _USUAL_DISTANCE
@@ -177,7 +170,7 @@ def find_pose(
         middle = (np.array(edge.centre) - limbus.centre) / (_SHARP * limbus.semi_axes[0])
         aside = (np.array(inner.centre) - pupil.centre) / (scale * DECENTRED)
         larger = np.log(sizes) / (2 * _SHARP)
-        usual = [np.sqrt(2 * _unusual(np.hypot(*v[:2]))) * measured]
+        usual = [np.sqrt(2 * _unusual(np.hypot(*v[:2])))]
         return np.concatenate([*flatter, middle, larger, aside * (azimuth is None), usual])
 
     front = seen_from(np.zeros(2), 2.0, (2, 2))  # with pixels of one millimetre
@@ -228,8 +221,6 @@ def find_pose(
     seen_at = None if focal_px is None else distance
     side = "pupil" if azimuth is None else "given"
     eye = eye.replace(pupil_radius=radius, pupil_centre=jnp.asarray(centre))
-    if not measured:
-        return Pose(camera, corner, eye, centre, tilt, *tilts_allowed(tilt), seen_at, side)
     sd, interval, stretched = tilts_of_people(limbus, pupil, spread, azimuth)
     interval = min(interval[0], tilt), max(interval[1], tilt)
     return Pose(camera, corner, eye, centre, tilt, sd, interval, seen_at, side, stretched)
@@ -253,35 +244,6 @@ def project_iris_points(
     column = (np.asarray(found.column) - 0.5) / pitch + columns / 2 - 0.5
     row = (np.asarray(found.row) - 0.5) / pitch + rows / 2 - 0.5
     return column, row, np.asarray(found.visible)
-
-
-def tilts_allowed(
-    tilt: float, flattening_sd: float = _FLATTENING
-) -> tuple[float, tuple[float, float]]:
-    """Return the standard deviation and the 95 % interval (radians) of the tilts that are
-    compatible with outlines of one tilt.
-
-    The error is that of the limbus's flattening q = ln(a / b) = -ln cos(tilt) [F09 Eq. 1], a vector
-    whose direction is twice the axis's angle; each component has the standard deviation
-    `flattening_sd`. The observed length of such a vector follows Rice's distribution. If every
-    direction of the camera is equally likely, so is every q (nearly, below 40 degrees), and the
-    interval is the shortest one in q that holds 95 %: 0 to 17 degrees for an eye that looks into
-    the camera, 4 to each side at 30 degrees.
-    """
-    seen = -np.log(np.cos(tilt))
-    q = np.linspace(max(seen - 6 * flattening_sd, 0.0), seen + 6 * flattening_sd, 4001)
-    rice = np.exp(-0.5 * ((q - seen) / flattening_sd) ** 2)
-    rice *= special.ive(0, q * seen / flattening_sd**2)
-    share = np.concatenate([[0.0], np.cumsum(rice[1:] + rice[:-1])])
-    share /= share[-1]
-    begin = q[share < 0.05]
-    end = np.interp(share[: begin.size] + 0.95, share, q)
-    k = int(np.argmin(end - begin))
-    tilts = np.arccos(np.exp(-q))
-    mean = (rice * tilts).sum() / rice.sum()
-    sd = np.sqrt((rice * (tilts - mean) ** 2).sum() / rice.sum())
-    low, high = (float(np.arccos(np.exp(-v))) for v in (begin[k], end[k]))
-    return float(sd), (low, high)
 
 
 def tilts_of_people(
