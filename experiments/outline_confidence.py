@@ -14,18 +14,20 @@ from typing import NamedTuple
 import jax
 import numpy as np
 from PIL import Image
-from scipy import ndimage
+from scipy import ndimage, optimize, special
 
 from experiments.common import RESULTS, start, write
 from irisjax.io.profiles import srgb_to_linear
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.outlines import Evidence, find_boundaries
 from irisjax.photo.photograph import Ellipse, Photograph
+from irisjax.photo.pose import LIMBUS_OVAL, PUPIL_OVAL, tilts_of_people
 
 FOLDER = RESULTS.parent.parent / "data" / "photographs"
 NUMBER = 200
 RIGHT = 0.04
 """Most error of centre and radius of a right outline, relative to the limbus's radius."""
+RIDGE = 0.2
 BINS = (0.0, 0.2, 0.4, 0.6, 0.8, 0.9, 1.0)
 SKIN = np.array([0.45, 0.26, 0.18])
 _FRONTAL = 649.5, 539.5, 499.4  # column, row, radius of the limbus in the frontal photographs
@@ -42,7 +44,9 @@ class Made(NamedTuple):
 
 
 def main(key, quick=False, out=RESULTS):
-    """Write the outlines of each photograph, and how often those of each confidence are right."""
+    """Write the outlines of each photograph, the 95 % intervals of its tilt in degrees, how often
+    outlines of each confidence are right, and the weights of the evidence that say so.
+    """
     seed, number = int(jax.random.key_data(key)[-1]), 8 if quick else NUMBER
     about = [f"{number} made photographs, seed {seed}; errors relative to the limbus's radius"]
     rows, counted = [], {"limbus": [], "pupil": []}
@@ -57,12 +61,20 @@ def main(key, quick=False, out=RESULTS):
             sure = getattr(found, f"{name}_confidence")
             counted[name].append((sure, off <= RIGHT))
             row += [off, sure]
-        rows.append((*row, *(found.evidence or ())))
+        spread = np.hypot([LIMBUS_OVAL, PUPIL_OVAL], found.flattening_sd)
+        _, interval, _ = tilts_of_people(found.limbus, found.pupil, spread)
+        tilts = (float(np.degrees(tilt)) for tilt in (made.tilt, *interval))
+        rows.append((*row, *(found.evidence or ()), *tilts))
     names = "photograph", "limbus_error", "limbus_confidence", "pupil_error", "pupil_confidence"
-    write(out / "outline_confidence.csv", about, (*names, *Evidence._fields), rows)
+    columns = *names, *Evidence._fields, "tilt", "tilt_from", "tilt_to"
+    write(out / "outline_confidence.csv", about, columns, rows)
     table = [(name, *line) for name in counted for line in reliability(counted[name])]
     columns = "outline", "from", "to", "number", "mean_confidence", "share_right"
     write(out / "outline_confidence_table.csv", about, columns, table)
+    evidence = np.array([row[5:-3] for row in rows])
+    weights = [(n, *fitted_weights(evidence, [right for _, right in counted[n]])) for n in counted]
+    columns = "outline", "constant", *Evidence._fields
+    write(out / "outline_confidence_weights.csv", about, columns, weights)
 
 
 def reliability(counted: list[tuple[float, bool]]) -> Iterator[tuple]:
@@ -72,6 +84,23 @@ def reliability(counted: list[tuple[float, bool]]) -> Iterator[tuple]:
         there = (sure >= low) & ((sure < high) | (high == 1))
         if there.any():
             yield low, high, int(there.sum()), float(sure[there].mean()), float(right[there].mean())
+
+
+def fitted_weights(evidence: np.ndarray, right: list[bool]) -> list[float]:
+    """Constant and weights, none negative, of the evidence in the logarithm of the odds.
+
+    Real photographs differ from these, so no weight may grow large: a ridge.
+    """
+    known = np.column_stack([np.ones(len(evidence)), evidence])
+    names = Evidence._fields
+    possible = evidence[:, names.index("shape")] * evidence[:, names.index("whole")]
+
+    def loss(weights):
+        sure = np.clip(special.expit(known @ weights) * possible, 1e-6, 1 - 1e-6)
+        return RIDGE * (weights[1:] ** 2).sum() - np.log(np.where(right, sure, 1 - sure)).sum()
+
+    start, bounds = np.append(-3, np.ones(len(names))), [(None, None)] + [(0, None)] * len(names)
+    return [float(w) for w in optimize.minimize(loss, start, bounds=bounds).x]
 
 
 def error(found: Ellipse, true: Ellipse, limbus: Ellipse) -> float:

@@ -612,6 +612,7 @@ def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tup
     ]
     if doubts:
         doubts.append(Doubt("outlines", "nothing after the outlines was done"))
+    doubts += [Doubt("outlines", said) for said in found.boundaries.doubts()]
     distance = found.pose.distance if isinstance(found, Posed) else None
     if distance is not None and not _DISTANCES.holds(distance):
         said = (

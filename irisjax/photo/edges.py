@@ -94,11 +94,14 @@ class FittedEllipse(NamedTuple):
         outline: The ellipse.
         support: Share of it that edges support.
         flattening_sd: Standard deviation of either component of its flattening.
+        place_sd: Standard deviation of centre and logarithm of the mean radius together, relative
+            to the radius.
     """
 
     outline: Ellipse
     support: float
     flattening_sd: float
+    place_sd: float = 0.0
 
 
 def find_rings(
@@ -300,15 +303,15 @@ def refine_outline(
     middle = np.asarray(outline.centre)
     points = middle + place[:, None] * (outline.points(RAYS) - middle)
     if (value > _LEAST).sum() < 12:
-        return FittedEllipse(outline, 0.0, expected.flattening_sd)
-    better, sd = _fitted(outline, points, weight * value**2 * (value > _LEAST), expected)
+        return FittedEllipse(outline, 0.0, expected.flattening_sd, 1.0)
+    better, sd, place_sd = _fitted(outline, points, weight * value**2 * (value > _LEAST), expected)
     off = abs(better.relative_radius(points[:, 0], points[:, 1]) - 1)
     near = off < 0.02 + 0.5 / better.semi_axes[0]
     support = (weight * value * near).sum() / weight.sum()
-    return FittedEllipse(better, float(support), sd)
+    return FittedEllipse(better, float(support), sd, place_sd)
 
 
-def _fitted(start: Ellipse, points, weights, expected: Expected) -> tuple[Ellipse, float]:
+def _fitted(start: Ellipse, points, weights, expected: Expected) -> tuple[Ellipse, float, float]:
     """An ellipse by robust least squares: points off by more than about 1 % count little."""
     size, middle = start.mean_radius, np.asarray(start.centre)
     points, weights = points[weights > 0], weights[weights > 0]
@@ -348,11 +351,12 @@ def _fitted(start: Ellipse, points, weights, expected: Expected) -> tuple[Ellips
         np.stack([begin, absolute, np.append(begin[:3], known[3:])]), ends
     )
     best = int(np.argmax(worth))
-    at, spread = fits[best], np.linalg.inv(normals[best])[3:, 3:]
+    at, spread = fits[best], np.linalg.inv(normals[best]).diagonal()
     (x, y), grown, flat = middle + size * at[:2] * [1, -1], size * np.exp(at[2]), at[3:]
     flatter, angle = np.hypot(*flat), 0.5 * np.arctan2(flat[1], flat[0])
     axes = grown * np.exp(0.5 * flatter), grown * np.exp(-0.5 * flatter)
-    return Ellipse((x, y), axes, angle % np.pi), float(np.sqrt(0.5 * np.trace(spread)))
+    flattening_sd, place_sd = np.sqrt(spread[3:].mean()), np.sqrt(spread[:3].sum())
+    return Ellipse((x, y), axes, angle % np.pi), float(flattening_sd), float(place_sd)
 
 
 def _misses(p, points):

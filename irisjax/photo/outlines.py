@@ -21,6 +21,8 @@ from irisjax.photo.pose import FLATTER, LIMBUS_FLAT, LIMBUS_OVAL, PUPIL_OVAL
 
 MIN_CONFIDENCE = 0.5
 """Confidence below which an outline is more likely wrong than right, see `Boundaries`."""
+SURE = 0.8
+"""Confidence below which an outline that is used is doubtful."""
 _PUPIL_SHARE = (0.12, 0.85)  # range of pupil radii, relative to the limbus
 _LIMBUS_WIDTHS = (0.02, 0.05, 0.09)  # half widths of the rise, relative to the radius
 _LIMBUS_SPAN = (0.6, 1.4)  # of profiles across the limbus, relative to it
@@ -38,17 +40,20 @@ _PUPIL_RADIUS = 40.0  # px of the limbus in the copy in which pupils are searche
 _SMALLEST = 40  # long side over the radius of the smallest iris
 _STARTS, _CANDIDATES = 10, 3  # circles that are weighed, and those of them that are refined
 _SURE = 0.9  # worth of a pair of outlines above which the search ends
+_PLACED = 0.01  # standard deviation of an outline that is known so well that it is half sure
 _WIDE = 0.68  # pupil over limbus above which the pair is less plausible
 _TRUSTED = 0.5  # support above which a pupil is used to find the limbus
 _FRONTAL = edges.Expected((LIMBUS_FLAT, 0.0), 0.08)
 _ASIDE = 0.07  # standard deviation of the pupil's middle in either direction, limbus radii
 _FAR_ASIDE = 0.15  # the same for limbi that are not yet known well
 _UP = 0.05  # its mean, above the limbus's middle
+_WARM = 0.5  # by how much redder the white of one side may be than that of the other
 _SIDE = 0.77  # cosine of the largest angle from the horizontal at which no lid is expected
-# Constant and weights of the evidence in the logarithm of the odds, fitted by
-# experiments/outline_confidence.py.
-_LIMBUS_LOGIT = (-23.7, 8.8, 0.1, 2.2, 1.0, 4.9, 1.7, 3.2, 3.1, 0.0, 5.5)
-_PUPIL_LOGIT = (-19.5, 1.8, 5.1, 0.0, 9.2, 3.2, 0.0, 0.0, 0.0, 0.0, 5.3)
+# Constant and weights of the evidence in the logarithm of the odds: none negative, by logistic
+# regression with a ridge of 0.2 on 230 photographs of experiments/outline_confidence.py (seed 0).
+_LIMBUS_LOGIT = (-6.3, 3.6, 0.2, 1.2, 0.2, 1.1, 0.4, 0.0, 0.0, 0.0, 1.2, 5.1, 0.0)
+_PUPIL_LOGIT = (-12.8, 0.1, 2.9, 1.2, 4.0, 1.6, 0.2, 1.4, 0.7, 0.0, 2.7, 1.5, 0.7)
+_DARK = 0.2  # evidence of a dark pupil below which there may be no eye
 
 
 class PupilEdge(NamedTuple):
@@ -61,12 +66,14 @@ class PupilEdge(NamedTuple):
             0 for a sharp edge, `None` if it is not known. A step and a smoothstep at one place
             count as the smoothstep that lets as much light by.
         flattening_sd: Standard deviation of either component of the outline's flattening.
+        place_sd: See `FittedEllipse.place_sd`.
     """
 
     outline: Ellipse
     support: float
     margin: float | None = None
     flattening_sd: float = 0.0
+    place_sd: float = 0.0
 
 
 class Evidence(NamedTuple):
@@ -83,6 +90,9 @@ class Evidence(NamedTuple):
         shape: How usual the sizes and places of the two outlines are.
         whole: Whether the picture shows all of them.
         fine: Whether they have enough pixels.
+        limbus_placed: How closely its edges place the limbus: 1/2 if its centre and radius are
+            determined to 1 % of its radius.
+        pupil_placed: The same for the pupil.
     """
 
     limbus: float
@@ -95,6 +105,8 @@ class Evidence(NamedTuple):
     shape: float
     whole: float
     fine: float
+    limbus_placed: float
+    pupil_placed: float
 
 
 class Pair(NamedTuple):
@@ -133,6 +145,16 @@ class Boundaries(NamedTuple):
     flattening_sd: tuple[float, float] = (0.0, 0.0)
     eyes: int = 1
     evidence: Evidence | None = None
+
+    def doubts(self) -> list[str]:
+        """Return a sentence on each outline that is more likely right than wrong, but not sure."""
+        both = ("limbus", self.limbus_confidence), ("pupil", self.pupil_confidence)
+        return [
+            f"the {name} may be wrong (confidence {sure:.2f}): look at outlines.png, and give "
+            f"--{name} if it is"
+            for name, sure in both
+            if MIN_CONFIDENCE <= sure < SURE
+        ]
 
 
 def find_boundaries(
@@ -207,7 +229,7 @@ def pupil_within(photo: Photograph, limbus: FittedEllipse) -> PupilEdge:
     expected = _expected_pupil(limbus)
     fits = [_pupil_near(first, part[1], circle, expected) for circle in starts]
     fit = max(fits, key=lambda fit: fit.support * _usual_place(outline, fit.outline))
-    return PupilEdge(back(fit.outline), fit.support, flattening_sd=fit.flattening_sd)
+    return PupilEdge(back(fit.outline), fit.support, None, fit.flattening_sd, fit.place_sd)
 
 
 def _dark_rings(picture, limbus: Ellipse) -> list[Ellipse]:
@@ -445,7 +467,7 @@ def _probabilities(evidence: Evidence) -> tuple[float, float]:
     """Return the probabilities that limbus and pupil are right, by logistic regression."""
     known = np.append(1.0, evidence)
     logits = np.array(_LIMBUS_LOGIT) @ known, np.array(_PUPIL_LOGIT) @ known
-    possible = evidence.whole * evidence.shape
+    possible = evidence.whole * evidence.shape * min(evidence.dark / _DARK, 1.0)
     limbus, pupil = (float(special.expit(logit) * possible) for logit in logits)
     return limbus, pupil
 
@@ -486,6 +508,9 @@ def _evidence(photo: Photograph, limbus: FittedEllipse, pupil: PupilEdge) -> Evi
         shape=_plausible(outer, inner),
         whole=float(np.clip((min(shown) - 0.5) / 0.15, 0, 1)),
         fine=min(1.0, outer.semi_axes[1] / 30),
+        limbus_placed=1 / (1 + (limbus.place_sd / _PLACED) ** 2),
+        pupil_placed=1
+        / (1 + (pupil.place_sd * inner.mean_radius / outer.mean_radius / _PLACED) ** 2),
     )
 
 
@@ -751,15 +776,15 @@ def _limbus_edges(picture, colour, outline, span=_LIMBUS_SPAN, count=161, widths
     tint = np.nan_to_num(along_rays(colour, outline, span, count), nan=9.0)
     pitch = steps.place[1] - steps.place[0]
     smooth = ndimage.uniform_filter1d(tint, max(1, round(0.05 / pitch)), axis=1)
-    # The reddest from just beyond the middle of the rise to where the white is measured.
-    width = max(1, round(0.13 / pitch))
-    reddest = ndimage.maximum_filter1d(smooth, width, axis=1)
-    skip = (count - steps.place.size) // 2 + round(0.12 / pitch)
-    outside = reddest[:, skip : skip + steps.place.size]
+    # Just beyond the rise: behind a thin strip of white there may be a lid.
+    skip = (count - steps.place.size) // 2 + round(0.08 / pitch)
+    outside = smooth[:, skip : skip + steps.place.size]
     # The white is what is least red just outside. At the sides it may be in a shade as red as skin.
     at = int(np.argmin(abs(steps.place - 1)))
-    least = np.quantile(outside[:, at], 0.15)
-    white = 1 / (1 + np.exp(np.clip((outside - least - 0.4) / 0.08, -50, 50)))
     right, down = (outline.points(RAYS) - outline.centre).T
+    each = [float(np.quantile(outside[side, at], 0.2)) for side in (right < 0, right > 0)]
+    least = np.where(right > 0, *each[::-1])[:, None]
+    least = np.minimum(least, min(each) + _WARM)
+    white = 1 / (1 + np.exp(np.clip((outside - least - 0.4) / 0.08, -50, 50)))
     aside = np.clip((abs(right) / np.hypot(right, down) - 0.8) / 0.15, 0, 0.7)
     return steps, np.maximum(white, aside[:, None]), profile

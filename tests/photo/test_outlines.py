@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from irisjax.photo.outlines import MIN_CONFIDENCE, find_boundaries
+from irisjax.photo.outlines import MIN_CONFIDENCE, Boundaries, find_boundaries
 from irisjax.photo.photograph import Ellipse
 from photo.simulated import (
     SKIN,
@@ -127,6 +127,13 @@ def test_the_width_of_the_limbus_is_found(width):
     assert found.limbus_width is not None
     # Blur and a rise narrower than it look alike: within two pixels.
     assert abs(found.limbus_width - width) < max(0.1 * width, 2 / 110)
+
+
+def test_an_outline_that_is_not_sure_is_used_and_doubted():
+    circle = Ellipse((50.0, 50.0), (20.0, 20.0))
+    (said,) = Boundaries(circle, circle, 0.95, 0.7).doubts()
+    assert said.startswith("the pupil may be wrong (confidence 0.70)") and "--pupil" in said
+    assert not Boundaries(circle, circle, 1.0, 0.4).doubts()  # refused rather than doubted
 
 
 def test_of_two_eyes_one_is_found_whole():
