@@ -152,6 +152,7 @@ def summary_of(
             "outside_share": own.outside,
             "explained_share": own.explained,
             "hidden_share": own.hidden.mean(),
+            "common_sd_of_logarithms": dict(zip(NAMES, own.common, strict=True)),
             "sd_of_logarithms": dict(zip(NAMES, np.median(own.deviations, (1, 2)), strict=True)),
             "correlations": {f"{NAMES[i]}, {NAMES[j]}": own.correlation[i, j] for i, j in pairs},
             "table_error": own.error,

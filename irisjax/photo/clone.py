@@ -562,9 +562,8 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
     target = np.maximum(target, 0) ** (1 / fitted.fit.values["contrast"])
     usual = np.log(generic_thickness(radius) / float(fitted.base.stroma_thickness))
     flat = partial(unrefract, pose=fitted.pose, where=fitted.refraction)
-    found = texels.colour_iris(
-        target, clear, usual, scene, fitted.view, fitted.tables, fitted.exposure, flat
-    )
+    known = fitted.view, fitted.tables, fitted.exposure, pigments.doubt_of_exposures(fitted.fit)
+    found = texels.colour_iris(target, clear, usual, scene, *known, flat)
     exposure = fitted.exposure * found.gain
     return Coloured(**vars(dataclasses.replace(fitted, exposure=exposure)), texels=found)
 

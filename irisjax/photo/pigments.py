@@ -210,6 +210,19 @@ def exposures_for(fit: PigmentFit, windows: Windows, base: Iris) -> Float[np.nda
     return np.asarray(_compared(jnp.asarray(fit.z), windows, base)[1])
 
 
+def doubt_of_exposures(fit: PigmentFit) -> Float[np.ndarray, "3 3"]:
+    """Return the covariance of the logarithms of the channels' exposures, in normal approximation.
+
+    `contrast`, which acts much as they do within the range of an iris, is left out.
+    """
+
+    def exposures(z):
+        return jnp.log(_exposures(parameter_values(z)))
+
+    slope = np.asarray(jax.jacfwd(exposures)(jnp.asarray(fit.z)))
+    return slope @ fit.covariance @ slope.T
+
+
 def misfits(fit: PigmentFit, windows: Windows) -> list[str]:
     """Return sentences on where the model does not follow the photograph, or follows it only with
     values that hardly any eye has.

@@ -71,7 +71,9 @@ class OwnPigments(NamedTuple):
         iris: The iris that the maps are relative to: their medians.
         maps: Thickness of the stroma, eumelanin, pheomelanin and residual.
         deviations: Standard deviations of the logarithms of `NAMES`, (3, angles, radii): by the
-            photograph's noise and the prior of the neighbourhood, about the iris of the global fit.
+            photograph's noise, the prior of the neighbourhood and the doubt about the exposures.
+        common: The part of `deviations` that is by the exposures, median of all texels: an error
+            that they have in common.
         correlation: Median correlation of the errors of each pair of `NAMES`, (3, 3).
         hidden: Cells that the photograph does not show, (angles, radii), filled from beside.
         outside: Share of pixels whose colour is none that the model can make.
@@ -83,6 +85,7 @@ class OwnPigments(NamedTuple):
     iris: Iris
     maps: IrisMaps
     deviations: Float[np.ndarray, "3 angles radii"]
+    common: Float[np.ndarray, "3"]
     correlation: Float[np.ndarray, "3 3"]
     hidden: Bool[np.ndarray, "angles radii"]
     outside: float
@@ -132,12 +135,14 @@ class Local(NamedTuple):
 
     Attributes:
         logs: Logarithms of the factors `NAMES`; at pixels that do not count filled from beside.
-        covariance: Of the logarithms: by the photograph's noise and the prior; 0 elsewhere.
+        covariance: Of the logarithms; 0 elsewhere.
+        common: The variances in it that are by the exposures.
         off: Model less photograph, encoded; 0 elsewhere.
     """
 
     logs: Float[np.ndarray, "rows columns 3"]
     covariance: Float[np.ndarray, "rows columns 3 3"]
+    common: Float[np.ndarray, "rows columns 3"]
     off: Float[np.ndarray, "rows columns 3"]
 
 
@@ -149,6 +154,7 @@ def colour_iris(
     view: View,
     tables: Illumination | None,
     exposure: Float[np.ndarray, "3"],
+    doubt: Float[np.ndarray, "3 3"],
     lay_flat: Callable[[Colours, Mask], Unrefracted],
 ) -> OwnPigments:
     """Solve the texels of an iris.
@@ -161,6 +167,7 @@ def colour_iris(
         view: What its camera sees.
         tables: Its tables of light.
         exposure: Exposures of the channels.
+        doubt: Covariance of their logarithms.
         lay_flat: Undoes the refraction of a picture with a mask.
     """
     shape, iris, seen = known.shape, scene.tissue, view.iris
@@ -193,7 +200,7 @@ def colour_iris(
         levels.append(_halved(levels[-1]))
     gain, coarse = find_gain(levels[-1], respond(FACTORS), exposure)
     response = respond(ranges_about(coarse, levels[-1].known))
-    found = solve_levels(levels, response, exposure, gain)
+    found = solve_levels(levels, response, exposure, gain, doubt)
 
     off, wanted = found.off[known], (np.maximum(target * exposure, 0) + _DARK)[known] ** _POWER
     explained = 1 - (off**2).sum() / ((wanted - wanted.mean(0)) ** 2).sum()
@@ -240,6 +247,7 @@ def colour_iris(
         iris,
         maps,
         polar(sizes),
+        np.sqrt(np.median(found.common[known], axis=0)),
         np.median(correlation[known], axis=0),
         hidden,
         float((np.abs(off).max(-1) > OUTSIDE).mean()),
@@ -290,14 +298,18 @@ def find_gain(
 
 
 def solve_levels(
-    levels: list[Seen], response: TexelResponse, exposure: Float[np.ndarray, "3"], gain: float
+    levels: list[Seen],
+    response: TexelResponse,
+    exposure: Float[np.ndarray, "3"],
+    gain: float,
+    doubt: Float[np.ndarray, "3 3"],
 ) -> Local:
     """Solve all levels, the coarsest first, each near the numbers of the coarser one. Edges stay: a
     photograph outweighs a prior of this width wherever it shows them.
     """
     found = _coarsest(levels[-1], response, exposure, gain)
     for level, steps in zip(reversed(levels[:-1]), _STEPS[1:], strict=True):
-        found = _level(level, found.logs, response, exposure, gain, steps)
+        found = _level(level, found.logs, response, exposure, gain, steps, doubt=doubt)
     return found
 
 
@@ -327,6 +339,7 @@ def _level(
     steps: int,
     spread: float = _FINER,
     tried: Array | None = None,
+    doubt: np.ndarray | None = None,
 ) -> Local:
     """Solve the pixels of a level about the numbers of another one; the search begins there too, or
     at the best of those that are `tried`.
@@ -339,8 +352,9 @@ def _level(
     brightest = np.quantile(level.target[known] * exposure, 0.99, axis=0)
     wrong = jnp.asarray(response.error * brightest, jnp.float32)
     numbers = exposed, *(jnp.float32(x) for x in (noise, spread)), jnp.asarray(steps), tried, wrong
+    loose = jnp.asarray(np.zeros((3, 3)) if doubt is None else doubt, jnp.float32)
     one = functools.partial(_solved, response.degrees, tints)
-    one = functools.partial(one, (response.coefficients, response.spans(), *numbers))
+    one = functools.partial(one, (response.coefficients, response.spans(), *numbers, loose))
     with ThreadPoolExecutor(2) as pool:
         each = _ROWS if tried is None else _ROWS_COARSEST
         rows = by_rows(one, tuple(np.asarray(p, np.float32) for p in parts), each, pool.map)
@@ -352,8 +366,10 @@ def _level(
 
 @eqx.filter_jit
 def _solved(degrees: tuple[int, ...], tints: int, held, rows):
-    """Logarithms, their covariances and the errors of the channels, of rows of pixels."""
-    coefficients, spans, exposure, noise, spread, steps, tried, wrong = held
+    """Logarithms, their covariances and the variances in these by the exposures, and the errors of
+    the channels, of rows of pixels.
+    """
+    coefficients, spans, exposure, noise, spread, steps, tried, wrong, loose = held
     coefficients = coefficients.astype(spans.dtype)
     low, high = jnp.log(spans).T[..., None]
     first, last = jnp.log1p(products.BEND * spans).T[..., None]
@@ -406,7 +422,9 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
             cost = (weight * off**2).sum(0) + kept * dim**2 + prior * ((z - centre) ** 2).sum(0)
             slope = -(weight * rates * off).sum(1) - kept * dims * dim - prior * (z - centre)
             told = (weight * rates[:, None] * rates[None]).sum(2) + prior * eye
-            return cost, slope, told + kept * dims[:, None] * dims, told, off
+            # What a logarithm of the exposure does to a channel, and pulls the numbers by.
+            pull = weight * rates * (_POWER * lit ** (_POWER - 1) * (lit - _DARK))
+            return cost, slope, told + kept * dims[:, None] * dims, told, pull, off
 
         def step(_, state):
             z, (cost, slope, matrix, *_), damping = at = state
@@ -434,8 +452,12 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
             start = tried[:, best]
         start = jnp.clip(start, low, high)
         begin = start, around(start), jnp.full_like(start[0], _DAMPING)
-        z, (*_, told, off), _ = jax.lax.fori_loop(0, steps, step, begin)
-        return z, _inverse(told), off
+        z, (*_, told, pull, off), _ = jax.lax.fori_loop(0, steps, step, begin)
+        # The coarser levels, which a prior is about, move with the exposures as well.
+        firm = _inverse(told + (1 / _PRIOR**2 - prior) * eye)
+        moved = (firm[:, :, None] * pull[None]).sum(1)
+        common = jnp.einsum("icp,cd,jdp->ijp", moved, loose, moved)
+        return z, _inverse(told) + common, jnp.einsum("iip->ip", common), off
 
     found = in_portions(solve, tuple(jnp.moveaxis(r, 0, -1) for r in rows))
     return tuple(jnp.moveaxis(f, -1, 0) for f in found)

@@ -64,7 +64,7 @@ def view():
     return look(BARE, CAMERA)
 
 
-def solved(view, reflection: bool):
+def solved(view, reflection: bool, wrong: float = 0.0):
     """A drawn iris of two colours, its visible pixels, those of a reflection on it, and what is
     found.
     """
@@ -75,9 +75,9 @@ def solved(view, reflection: bool):
     window = np.zeros(SHAPE, bool)
     window[20:26, 20:26] = known[20:26, 20:26] & reflection
     target[window] += np.array([0.02, 0.05, 0.4])
-    found = colour_iris(
-        target, known, np.zeros(SHAPE), scene_with(None), view, None, EXPOSURE, lay_flat
-    )
+    scene, doubt, usual = scene_with(None), np.full((3, 3), wrong**2), np.zeros(SHAPE)
+    lit = target * np.exp(wrong), EXPOSURE * np.exp(-wrong)
+    found = colour_iris(lit[0], known, usual, scene, view, None, lit[1], doubt, lay_flat)
     return target, known, window, found
 
 
@@ -159,3 +159,23 @@ def test_the_camera_sees_a_share_of_the_images():
     clear[40:50, 70:75] = True
     dark = np.where(clear[..., None], 0.001, shown[1])
     assert find_veil(dark, clear, pupil, view).max() < 0.05
+
+
+def test_an_exposure_that_is_not_known_moves_all_texels_as_their_deviations_say(view):
+    """The same picture under an exposure that is wrong by a standard deviation of 15 %."""
+    sure = solved(view, reflection=False)[-1]
+    off = solved(view, reflection=False, wrong=0.15)[-1]
+    assert (sure.common == 0).all()
+    moved = []
+    for found in (sure, off):
+        values = concentrations_of(found.iris)
+        stroma = float(found.iris.scattering_scale) * np.asarray(found.maps.stroma_depth)
+        melanins = (
+            values[f"abl_{n}"] * np.asarray(getattr(found.maps, n))
+            for n in ("eumelanin", "pheomelanin")
+        )
+        shown = ~found.hidden
+        moved.append([np.median(np.log(m[shown])) for m in (stroma, *melanins)])
+    shift = np.abs(np.subtract(*moved))
+    assert shift[0] == pytest.approx(off.common[0], rel=0.5)
+    assert (shift < 2.5 * off.common).all(), (shift, off.common)
