@@ -208,7 +208,9 @@ def _cap(surface: Conicoid, edge: float, spacing: float, around: int) -> "Trimes
     return _mesh(*_revolved(r, z, r, -inwards, around))
 
 
-def _moved(eye: Eye, iris: tuple[np.ndarray, ...], shares: np.ndarray) -> tuple[np.ndarray, ...]:
+def _moved(
+    eye: Eye, iris: tuple[np.ndarray, np.ndarray, np.ndarray], shares: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Points, normals and triangles of an iris, each ring moved by its share of the pupil's way."""
     points, _, faces = iris
     away = np.repeat(shares, len(points) // len(shares))[:, None] * np.asarray(eye.pupil_centre)

@@ -132,9 +132,9 @@ def find_rings(
         # Rounded up, so that kernels are cached.
         least = ((max(n, margin + 1) + margin + 15) // 16 * 16 for n in small.shape)
         shape = tuple(fft.next_fast_len(n, real=True) for n in least)
-        kernels = _ring_kernels(shape, tuple(sizes.round(3)), sideways)
-        parts = kernels * fft.rfft2(_directions(small), shape)
-        votes = fft.irfft2(parts.sum(1), shape)
+        kernels: np.ndarray = np.asarray(_ring_kernels(shape, tuple(sizes.round(3)), sideways))
+        parts = np.multiply(kernels, np.asarray(fft.rfft2(_directions(small), shape)))
+        votes = np.asarray(fft.irfft2(parts.sum(1), shape))
         votes = votes[:, margin : margin + small.shape[0], margin : margin + small.shape[1]]
         found = [kept[:0]]
         for radius, vote in zip(sizes, votes, strict=True):

@@ -181,7 +181,7 @@ def colour_iris(
     light = light if exits is None else light * exits
     flat = np.moveaxis(np.asarray(light), -1, 0).reshape(light.shape[-1], -1)
 
-    small = np.ones((2, 2), np.float32)
+    small = jnp.ones((2, 2), jnp.float32)
     alike = IrisMaps(stroma_depth=small, eumelanin=small, pheomelanin=small)
     alike = ranges_of(iris, alike)  # of the types that those of the maps have: one program
 
