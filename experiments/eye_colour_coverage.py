@@ -25,7 +25,7 @@ from irisjax.photo.photograph import Ellipse, Photograph
 FOLDER = Path(__file__).parent.parent / "data" / "photographs"
 TIMES, SCALE = 10, 0.3
 REFLECTANCE = 0.0226
-"""Of the tear film at normal incidence."""
+"""Reflectance of the tear film at normal incidence."""
 WHITES = np.array([82.0, 0.9, 3.9]), np.array([5.0, 2.5, 4.0])
 """L*a*b* of the photographs' own white, and standard deviations of people's from it."""
 TINT, EXPOSURE, CONTRAST, CHANNEL, NOISE = 0.25, (0.45, 1.0), 0.1, 0.03, 0.006
@@ -84,7 +84,7 @@ def taken_anew(photograph: Photograph, limbus: Ellipse, random: np.random.Genera
     outside = np.clip((limbus.radii(photograph.shape) - 0.98) / 0.04, 0, 1)[..., None]
     gains = np.exp(TINT * random.standard_normal(3) * (1, 0, 1))
     light = photograph.pixels * (1 + outside * (person - 1)) * gains
-    # As a camera's meter would have it: the bright parts just fit.
+    # A camera's meter exposes so that the bright parts just fit.
     light *= random.uniform(*EXPOSURE) / np.quantile(light.max(-1), 0.98)
     light = light * np.exp(CHANNEL * random.standard_normal(3))
     light = np.maximum(light, 0) ** np.exp(CONTRAST * random.standard_normal())

@@ -48,7 +48,7 @@ from irisjax.render.surfaces import GlobeSurface
 FOLDER = Path(__file__).parent.parent / "data" / "photographs" / "volumetric"
 SIZE = (800, 600)
 WIDTH, DISTANCE = 17.6, 250.0
-"""Of the field at the pupil and of the camera, mm: the iris is 500 px across."""
+"""Width of the field at the pupil and distance of the camera, mm: the iris is 500 px across."""
 SOFT = 0.7
 """Width over which the white's edge fades on the cornea, mm; its middle is the limbus."""
 LIMBUS = 5.5
@@ -334,7 +334,7 @@ class _Scene:
         radiance = reflectance * self._at_cells(self.irradiance, len(reflectance)) / math.pi
         seen = self.through_cornea(radiance * _coverage(pupil)[..., None], self.effort.seen)
         index = float(self.eye.cornea.index)  # pyright: ignore[reportOptionalMemberAccess]
-        # As in `eye_in_mitsuba`: a conductor without absorption mirrors as the cornea does.
+        # A conductor without absorption mirrors as the cornea does, see `eye_in_mitsuba`.
         mirror = {"type": "conductor", "eta": eyes.rgb([index] * 3), "k": eyes.rgb([0.0] * 3)}
         front = {"anterior": {**self.glass["anterior"], "bsdf": mirror}}
         shapes = {**front, **self._coloured(), **self.hair, **around}
@@ -345,7 +345,7 @@ class _Scene:
         return seen + outside
 
     def through_cornea(self, radiance: np.ndarray, samples: int) -> np.ndarray:
-        """What the camera sees of an iris of some radiance on its cells, behind cornea and lids."""
+        """Trace the picture of an iris of some radiance on its cells, behind cornea and lids."""
         import mitsuba as mi
 
         from experiments import eye_in_mitsuba as eyes
@@ -597,7 +597,7 @@ def _skin_colours(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def developed(linear: np.ndarray, shot: Shot, exposure: float, size, rng) -> bytes:
-    """What a camera and its software make of a picture: a JPEG file."""
+    """Take a picture as a camera and its software do, and return the bytes of a JPEG file."""
     light = linear * exposure * np.asarray(shot.gains)
     light = np.stack([ndimage.gaussian_filter(light[..., c], 0.55) for c in range(3)], -1)
     electrons = rng.poisson(np.clip(light, 0, 1.2) * shot.electrons)

@@ -35,7 +35,7 @@ from irisjax.tissue.pigments import extinction
 
 ABOUT = ("clones of data/photographs/volumetric, all simulated",)
 STEP = 0.05
-"""Of radii, mm: correlations are of deviations from the mean at a radius."""
+"""Width of a ring, mm: correlations are of deviations from the mean at a radius."""
 _DRAWS = 20_000
 _WIDEST = 5.2  # radius of texels that are compared, mm: beyond, the white fades in
 COLUMNS = (
@@ -58,7 +58,7 @@ def main(key, quick=False, out=RESULTS, folder=FOLDER):
 
 
 def read_truth(folder: Path = FOLDER) -> list[dict[str, Any]]:
-    """What each photograph was made with."""
+    """Read the numbers with which each photograph was made."""
     return json.loads((folder / "truth.json").read_text(encoding="utf-8"))["photographs"]
 
 

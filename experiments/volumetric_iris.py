@@ -35,7 +35,7 @@ from irisjax.tissue.pigments import extinction
 HALF = 6.0
 """Half the side of the square of the iris plane, mm."""
 DEPTH = 0.5
-"""Of the slab, mm."""
+"""Depth of the slab, mm."""
 ROOT = 5.9
 """Radius of the iris's root, mm: beyond it there is no tissue."""
 LEAF = 0.5
@@ -145,7 +145,7 @@ KINDS = {
 
 @dataclass(frozen=True)
 class Tissue:
-    """What light is traced through.
+    """The slab through which light is traced.
 
     Attributes:
         density: Shape (depths, rows, columns), depths from the base upwards; 1 is dense stroma.
@@ -382,7 +382,7 @@ def _denoised(noisy: np.ndarray, tissue: Tissue) -> np.ndarray:
 
 
 def irradiance_of(light: np.ndarray) -> float:
-    """Of the iris, by an environment."""
+    """Compute the irradiance on the iris by an environment."""
     towards, solid = directions(*light.shape)
     return float((light * np.maximum(towards[..., 2], 0) * solid).sum())
 

@@ -166,7 +166,7 @@ class CloneResults(opt.Group, panel="Files"):
 
 
 class CloneRun(NamedTuple):
-    """What a photograph gave: the last stage, files by name, and what is doubtful.
+    """The result of one photograph: the last stage, files by name, and what is doubtful.
 
     Attributes:
         pictures: The clone's picture and the photograph's, if it came so far.

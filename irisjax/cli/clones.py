@@ -63,7 +63,9 @@ def clone_many(
             try:
                 made = run_clone(photographs[name], one, model, results, folders[name], draw, True)
                 row = _row(name, made, jax.random.key(model.seed))
-            except Exception as error:  # of one photograph, whatever it is
+            except Exception as error:
+                # A fault of one photograph, even of the program, must not end a night's run. The
+                # row tells it; IRISJAX_DEBUG raises it.
                 known = isinstance(error, ValueError | OSError)
                 if os.environ.get("IRISJAX_DEBUG") and not known:
                     raise

@@ -54,8 +54,7 @@ def files_of(
     """Return the files, by name, of a clone up to the last stage that it has reached, with options
     of the command, seconds by the names of stages, and what is doubtful.
     """
-    said = {kind: [d.sentence for d in doubts if d.kind == kind] for kind in DOUBTS}
-    summary = summary_of(clone, settings, timings) | {"doubts": said}
+    summary = summary_of(clone, settings, timings, doubts)
     if pictures is not None:
         summary["picture_rms"] = pictures.rms
         summary["picture_rms_of_pigments"] = pictures.rms_of_pigments
@@ -95,9 +94,12 @@ def overlay_of(clone: Outlined) -> bytes:
 
 
 def summary_of(
-    clone: Outlined, settings: Mapping[str, object], timings: Mapping[str, float]
+    clone: Outlined,
+    settings: Mapping[str, object],
+    timings: Mapping[str, float],
+    doubts: Sequence[Doubt] = (),
 ) -> dict[str, object]:
-    """Return the contents of `clone.json`, but for the doubts."""
+    """Return the contents of `clone.json`, but for the comparison of the pictures."""
     outlines = clone.boundaries
     found: dict[str, object] = {
         "photograph": clone.photograph.name,
@@ -173,7 +175,8 @@ def summary_of(
                 "effective_samples": min(chains.ess_bulk.min(), chains.ess_tail.min()),
             },
         }
-    return found | {"seconds": timings}
+    said = {kind: [d.sentence for d in doubts if d.kind == kind] for kind in DOUBTS}
+    return found | {"seconds": timings, "doubts": said}
 
 
 def _pose(pose: Pose) -> dict[str, object]:

@@ -35,7 +35,7 @@ def colour_files(
     """Return the files, by name, of an eye's colours and the part of the photograph in which they
     were measured (`None` if its outlines are doubtful), with options of the command.
     """
-    summary = summary_of(found, settings, {}) | {"doubts": [doubt.sentence for doubt in doubts]}
+    summary = summary_of(found, settings, {}, doubts)
     files = {OVERLAY: overlay_of(found)}
     if measured is not None:
         colours, part = measured

@@ -44,7 +44,14 @@ from irisjax.photo.texture import (
     unrefract,
 )
 from irisjax.photo.thickness import BETA, SIGMA, Morphology, generic_thickness, shape_maps
-from irisjax.photo.windows import Windows, average_maps, choose_pixels, iris_alone, windows_of
+from irisjax.photo.windows import (
+    Windows,
+    average_maps,
+    choose_pixels,
+    iris_alone,
+    ring_radius,
+    windows_of,
+)
 from irisjax.render.environment import LUMINANCE, Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrators import finer
@@ -552,7 +559,7 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
     x, y = map(np.asarray, seen.point[:2])
     radius = onto_picture(seen, np.hypot(x, y), shape)
     clear = fitted.clear & iris_alone(fitted.pose)
-    ring = onto_picture(seen, np.asarray(eye.from_axis(eye.ring_of(x, y)[0])), shape)
+    ring = onto_picture(seen, ring_radius(eye, x, y), shape)
     clear &= ring > float(eye.pupil_radius + eye.pupil_margin)
     target = fitted.unveiled() / fitted.exposure
     if fitted.veil is None:

@@ -524,6 +524,7 @@ def _hole(picture, hole: Ellipse) -> tuple[float, float]:
     if not inside.size:
         return 0.0, 0.0
     deep = float(np.quantile(inside, 0.25))
+    # A ray that leaves the picture is no evidence of a brighter surrounding.
     around = np.nan_to_num(_median(profile[:, place > 1.12], 1), nan=deep)
     iris = float(np.median(around))
     dark = np.clip((1 - deep / (iris + 1e-9) - 0.4) / 0.5, 0, 1)
@@ -540,6 +541,7 @@ def _radial(seen, place, pitch: float) -> float:
     each = (_mean(abs(np.diff(logs, axis=axis)), axis) for axis in (0, 1))
     around, along = next(each) / (place * (RAYS[1] - RAYS[0])), next(each)
     around, along = _median(around), _median(along) / pitch
+    # Nothing is seen of some candidates beyond the picture's edge: no evidence either.
     share = np.nan_to_num(around / (around + along + 1e-9))
     return float(np.clip((share - 0.25) / 0.25, 0, 1))
 

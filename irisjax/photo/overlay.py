@@ -53,8 +53,9 @@ def draw_overlay(found: Outlined) -> Colours:
 
 
 def draw_colours(colours: EyeColour, part: Part, pupil: Ellipse) -> Colours:
-    """Return the eye, sRGB-encoded, with the borders of its rings (white) and of what is taken for
-    the white of the eye (yellow), beside its colours, with L*a*b* and 95 % intervals.
+    """Return the eye, sRGB-encoded, with the borders of its rings (white), of what is taken for the
+    white of the eye (yellow) and of what is not used of the iris (magenta), beside its colours,
+    with L*a*b* and 95 % intervals.
     """
     scale = _SIDE / len(part.pixels)
     encoded = np.asarray(srgb_encode(np.clip(part.pixels, 0, 1)))
@@ -68,8 +69,8 @@ def draw_colours(colours: EyeColour, part: Part, pupil: Ellipse) -> Colours:
     depth = depth_in_iris(part.outside.shape, pupil, part.limbus)
     borders = sorted({border for ring in RINGS.values() for border in ring})
     lines = [(contour, _RING) for border in borders for contour in _contours(depth, border)]
-    hidden = colours.visible | (depth < borders[0]) | (depth > borders[-1])
-    lines += [(contour, _HIDDEN_LINE) for contour in _contours(hidden.astype(float), 0.5)]
+    used = colours.visible | (depth < borders[0]) | (depth > borders[-1])
+    lines += [(contour, _HIDDEN_LINE) for contour in _contours(used.astype(float), 0.5)]
     white = ndimage.binary_closing(colours.white.pixels, iterations=3).astype(float)
     lines += [(contour, _WHITE) for contour in _contours(white, 0.5)]
     for contour, colour in lines:

@@ -181,9 +181,9 @@ def colour_iris(
     light = light if exits is None else light * exits
     flat = np.moveaxis(np.asarray(light), -1, 0).reshape(light.shape[-1], -1)
 
+    # Ranges of the number types that those of the maps will have, so that one program serves both.
     small = jnp.ones((2, 2), jnp.float32)
-    alike = IrisMaps(stroma_depth=small, eumelanin=small, pheomelanin=small)
-    alike = ranges_of(iris, alike)  # of the types that those of the maps have: one program
+    alike = ranges_of(iris, IrisMaps(stroma_depth=small, eumelanin=small, pheomelanin=small))
 
     def respond(ranges: Scales) -> TexelResponse:
         ranges = jax.tree.map(lambda r, of: jnp.asarray(r, of.dtype), ranges, alike)
@@ -402,8 +402,7 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
         centre, target, light = pixels
         wanted, light = encoded(target), light.reshape(tints, -1, light.shape[-1])
         # The error of the table counts most where the encoding is steep: in the dark.
-        steep = _POWER * wanted ** (1 - 1 / _POWER)
-        weight = 1 / (noise**2 + (steep * wrong[:, None]) ** 2)
+        weight = 1 / (noise**2 + (_POWER * wanted ** (1 - 1 / _POWER) * wrong[:, None]) ** 2)
         light = jnp.moveaxis(light, 1, 0)  # functions, tints, pixels
 
         def around(z):
@@ -414,17 +413,18 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
                 for i in range(3)
             ]
             lit = jnp.maximum(shown * exposure[:, None], 0.0) + _DARK
-            rates = jnp.stack(pushed) * (_POWER * lit ** (_POWER - 1) * exposure[:, None])
+            steep = _POWER * lit ** (_POWER - 1)
+            rates = jnp.stack(pushed) * (steep * exposure[:, None])
             off = encoded(shown) - wanted
             # Colours that the model cannot make keep their brightness.
             dim, dims = off.mean(0), rates.mean(1)
-            kept = _BRIGHTNESS * weight.min(0)
-            cost = (weight * off**2).sum(0) + kept * dim**2 + prior * ((z - centre) ** 2).sum(0)
-            slope = -(weight * rates * off).sum(1) - kept * dims * dim - prior * (z - centre)
+            bright = _BRIGHTNESS * weight.min(0)
+            cost = (weight * off**2).sum(0) + bright * dim**2 + prior * ((z - centre) ** 2).sum(0)
+            slope = -(weight * rates * off).sum(1) - bright * dims * dim - prior * (z - centre)
             told = (weight * rates[:, None] * rates[None]).sum(2) + prior * eye
-            # What a logarithm of the exposure does to a channel, and pulls the numbers by.
-            pull = weight * rates * (_POWER * lit ** (_POWER - 1) * (lit - _DARK))
-            return cost, slope, told + kept * dims[:, None] * dims, told, pull, off
+            # The force of a channel's logarithm of exposure on the numbers.
+            pull = weight * rates * (steep * (lit - _DARK))
+            return cost, slope, told + bright * dims[:, None] * dims, told, pull, off
 
         def step(_, state):
             z, (cost, slope, matrix, *_), damping = at = state

@@ -67,8 +67,9 @@ class Unrefracted(NamedTuple):
         angles, radii = values.shape
         ring = np.concatenate([values[-1:], values, values[:1]]).astype(np.float32)
         radius, angle = self.radius(), self.angle()
-        point, rims = (radius * np.cos(angle), radius * np.sin(angle)), self[2:4]
-        place, x, y = map(np.asarray, rings_between(point, self.pupil_centre, *rims))
+        point = radius * np.cos(angle), radius * np.sin(angle)
+        rings = rings_between(point, self.pupil_centre, self.pupil_radius, self.iris_radius)
+        place, x, y = map(np.asarray, rings)
         row = np.arctan2(y, x) % (2 * np.pi) * (angles / (2 * np.pi)) + 0.5
         return sampled(ring, row, place * radii - 0.5)
 

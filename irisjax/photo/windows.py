@@ -288,8 +288,8 @@ def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integr
     return jax.lax.map(column, jnp.eye(one.size)).transpose(1, 2, 3, 0)
 
 
-def _rings_at(eye: Eye, x, y):
-    """Radii (mm) of the rings through points of the iris."""
+def ring_radius(eye: Eye, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Return the radii (mm) of the rings between pupil and root on which points of the iris lie."""
     return np.asarray(eye.from_axis(eye.ring_of(x, y)[0]))
 
 
@@ -315,7 +315,7 @@ def _windows_of_pixels(seen: IrisPixels, clear, eye: Eye):
     """The number of each pixel's window, `COUNT` for none."""
     number = project.pixel_numbers(seen)
     x, y = map(np.asarray, seen.point[:2])
-    r, around = _rings_at(eye, x, y), np.arctan2(y, x) % (2 * np.pi)
+    r, around = ring_radius(eye, x, y), np.arctan2(y, x) % (2 * np.pi)
     inner = float(eye.pupil_radius) + MARGIN
     outer = min(float(eye.iris_radius), float(eye.limbus_radius)) - OUTER_MARGIN
     usable = (number >= 0) & (r > inner) & (r < outer) & clear.reshape(-1)[number]
