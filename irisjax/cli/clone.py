@@ -193,7 +193,8 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
     wrong input.
     """
     if (picture.photograph is None) == (results.batch is None):
-        raise ValueError("give the PHOTO of an eye, or --batch with a folder of photographs")
+        ways = "the PHOTO of an eye, or --batch with a folder of photographs"
+        raise ValueError(f"give {ways}{'' if results.batch is None else ', not both'}")
     if results.colour and "stop_after" in results.typed:
         raise ValueError("--colour does not go with --stop-after: it needs the outlines only")
     wanted = _stages(results)

@@ -86,7 +86,10 @@ def _photographs(source: Path) -> dict[str, Path]:
     inside = source.iterdir() if source.is_dir() else source.parent.glob(source.name)
     found = sorted(p for p in inside if p.suffix.lower() in suffixes and p.name != CONTACT_SHEET)
     if not found:
-        raise ValueError(f"{source}: no photographs there")
+        why = f"names end in {', '.join((*PHOTOGRAPHS, *HEIF))}, or as of camera raw"
+        if not (source.exists() or "*" in source.name):
+            why = "there is no such folder"
+        raise ValueError(f"{source}: no photographs there: {why}")
     return {path.name: path for path in found}
 
 
