@@ -46,7 +46,7 @@ def main(key, quick=False, out=RESULTS):
     before = jax.config.read("jax_enable_x64")
     jax.config.update("jax_enable_x64", False)
     try:
-        rows = _table(key, (80, 60) if quick else (800, 600), 1 if quick else 5)
+        rows = list(frames(key, (80, 60) if quick else (800, 600), 1 if quick else 5))
     finally:
         jax.config.update("jax_enable_x64", before)
     device = jax.devices()[0]
@@ -63,7 +63,8 @@ def main(key, quick=False, out=RESULTS):
     )
 
 
-def _table(key, size, repeats):
+def frames(key, size, repeats):
+    """Yield the rows of the table one after the other: each change of each scene."""
     iris, maps = preset("hazel", key=key)
     full = Scene(iris, maps, lights=_lamps(2, 0.0))
     full = full.replace(
@@ -73,15 +74,14 @@ def _table(key, size, repeats):
         environment_lights=2,
     )
     two = full.replace(environment=None)
-    rows = []
 
     def row(change, scene, f):
         ms, _ = _milliseconds(f, repeats)
         wanted = (RADIATIVE if "radiative" in scene else TARGETS).get(change, "")
-        rows.append((change, scene, ms, 1e3 / ms, 1 if "single" in scene else wanted))
+        return change, scene, ms, 1e3 / ms, 1 if "single" in scene else wanted
 
     def of(change, name, scene, tables):
-        """A row for the changes of one scene."""
+        """Yield the rows of one kind of change of a scene."""
         scene = prepared_scene(scene)
         view = look(scene.eye, scene.camera)
         texels = texture(view, scene)
@@ -95,7 +95,7 @@ def _table(key, size, repeats):
                 changed = scene.replace(iris=iris.replace(eumelanin=0.4 + 1e-3 * i))
                 return shade(view, texels, light, respond(changed))
 
-            row(change, name, pigmented)
+            yield row(change, name, pigmented)
         elif change == "thickness":
 
             def thicker(i):
@@ -110,8 +110,8 @@ def _table(key, size, repeats):
                 changed = scene.replace(iris=iris.replace(stroma_thickness=thick), maps=maps)
                 return shade(view, texels, light, respond(changed))
 
-            row(change, f"{name}, another map", thicker)
-            row(change, name, uniformly_thicker)
+            yield row(change, f"{name}, another map", thicker)
+            yield row(change, name, uniformly_thicker)
         elif change.startswith("camera"):
 
             def moved(i):
@@ -121,7 +121,7 @@ def _table(key, size, repeats):
                 there = texture(seen, changed)
                 return shade(seen, there, illuminate(seen, there, changed, tables), response)
 
-            row(change, name, moved)
+            yield row(change, name, moved)
         else:
             number = int(change.split()[0])
 
@@ -130,29 +130,27 @@ def _table(key, size, repeats):
                 lit = illuminate(view, texels, changed, tables)
                 return shade(view, texels, lit, response)
 
-            row(change, name, lit)
+            yield row(change, name, lit)
 
     eye = full.eye
     ms, first = _milliseconds(
         lambda i: Illumination.build(eye, caustics=False).flux, max(1, repeats // 2)
     )
-    rows += [
-        ("tables", "refraction", ms, 1e3 / ms, ""),
-        ("tables, with compiling", "refraction", first, 1e3 / first, ""),
-    ]
+    yield "tables", "refraction", ms, 1e3 / ms, ""
+    yield "tables, with compiling", "refraction", first, 1e3 / first, ""
     tables = Illumination.build(eye, caustics=False)
     for change in ("pigments", "thickness", "2 lights", "25 lights", "camera, 2 lights"):
-        of(change, "all but environment", two, tables)
+        yield from of(change, "all but environment", two, tables)
     marched = two.replace(integrator=SingleScattering())
-    of("2 lights", "all but environment, single scattering", marched, tables)
+    yield from of("2 lights", "all but environment, single scattering", marched, tables)
     transfer = two.replace(
         iris=preset("hazel", key=key, process=DEPTH_RESOLVED)[0], integrator=RadiativeIntegrator()
     )
     for change in ("pigments", "thickness", "2 lights", "25 lights", "camera, 2 lights"):
-        of(change, "all but environment, radiative transfer", transfer, tables)
+        yield from of(change, "all but environment, radiative transfer", transfer, tables)
     plain = transfer.replace(maps=transfer.maps.replace(eumelanin=None))
     for change in ("pigments", "thickness"):
-        of(change, "no pigment maps, radiative transfer", plain, tables)
+        yield from of(change, "no pigment maps, radiative transfer", plain, tables)
     without = {
         "no maps": two.replace(maps=None),
         "no relief": two.replace(maps=maps.replace(relief=None)),
@@ -165,11 +163,10 @@ def _table(key, size, repeats):
     }
     for name, scene in without.items():
         for change in ("pigments", "2 lights", "camera, 2 lights"):
-            of(change, name, scene, None if scene.eye.cornea is None else tables)
+            yield from of(change, name, scene, None if scene.eye.cornea is None else tables)
     ms, first = _milliseconds(lambda i: Illumination.build(eye).flux, 1)
-    rows += [("tables", "refraction and caustics", ms, 1e3 / ms, "")]
-    rows += [("tables, with compiling", "refraction and caustics", first, 1e3 / first, "")]
-    return rows
+    yield "tables", "refraction and caustics", ms, 1e3 / ms, ""
+    yield "tables, with compiling", "refraction and caustics", first, 1e3 / first, ""
 
 
 def _lamps(number, turned):

@@ -21,6 +21,7 @@ NAMES = sorted(
 # A minute each, of timing or of compiling; the others take seconds.
 SLOW = {
     "bench_accuracy_time",
+    "bench_device",
     "bench_inversion",
     "bench_render",
     "clone_coverage",
