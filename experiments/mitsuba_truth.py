@@ -28,7 +28,7 @@ from irisjax.photo.clone import (
     outline_eye,
 )
 from irisjax.photo.photograph import Ellipse
-from irisjax.photo.pigments import concentrations_of, parameter_values
+from irisjax.photo.pigments import parameter_values
 from irisjax.photo.texels import OwnPigments
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.pigments import extinction
@@ -171,7 +171,7 @@ def _maps_against_truth(
         melanin * (1 - share),
         melanin * share,
     )
-    held = concentrations_of(iris)
+    held = iris.layer_concentrations()
     thick = float(iris.abl_thickness)
     mine = (
         found(maps.stroma_depth) * _scattering(iris),

@@ -23,7 +23,7 @@ INDEX = ROOT / "docs" / "equation-index.md"
 # Paper: how its equations are indexed, and which of them the package holds.
 _PAPERS = {
     "LB06": ("", set(range(1, 10))),
-    "F09": ("F09 ", {*range(1, 8), 13, 14, 15, 16, 17}),
+    "F09": ("F09 ", set(range(1, 18))),
     "L03": ("L03 ", {1, 2}),
 }
 

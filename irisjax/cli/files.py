@@ -16,7 +16,7 @@ from irisjax.cli import options as opt
 from irisjax.cli.light import LightOptions
 from irisjax.cli.model import RANGES, IrisOptions, ProcessOptions
 from irisjax.io.images import encode_png
-from irisjax.tissue.iris import BLOOD, LIMITS
+from irisjax.tissue.iris import BLOOD, FRACTIONS, LIMITS
 from irisjax.transport.process import AbstractProcess, Ilit
 from irisjax.transport.solver import AbstractSolver
 
@@ -183,9 +183,9 @@ def head(
         name: float(getattr(iris if name in LIMITS else iris.power_law, name))
         for name in iris.parameters()
     }
-    numbers |= {"melanin_load": float(iris.melanin_load), **dict.fromkeys(BLOOD)}
+    numbers |= {"melanin_load": float(iris.melanin_load), **dict.fromkeys((*BLOOD, *FRACTIONS))}
     made = (
-        dataclasses.replace(groups[0], **numbers),
+        dataclasses.replace(groups[0], **numbers, absorption=iris.absorption),
         dataclasses.replace(groups[1], **process.describe()),
         *groups[2:],
     )
@@ -194,6 +194,8 @@ def head(
         text = {True: "yes", False: "no"}[value] if isinstance(value, bool) else str(value)
         if name == "melanin_load":  # both melanins say it already
             lines["melanin load that follows"] = f"{value:.12g} [ug/mm2]"
+        elif (name, value) == ("absorption", "lb06"):
+            pass
         elif name != "level" and not (name == "scattering" and iris.power_law is not None):
             lines[name] = f"{text}{f' [{unit}]' if unit else ''}"
     if solver is not None:

@@ -9,7 +9,7 @@ import irisjax as ij
 from irisjax.cli import options as opt
 from irisjax.numerics.checks import Range
 from irisjax.tissue.indices import Scattering
-from irisjax.tissue.iris import BLOOD, LIMITS
+from irisjax.tissue.iris import BLOOD, FRACTIONS, LIMITS, Absorption
 from irisjax.tissue.scattering import POWER_LAW_LIMITS, PowerLaw
 from irisjax.transport import process as processes
 from irisjax.transport.defaults import exact_solver
@@ -24,6 +24,7 @@ _DEFAULTS = {
 }
 RANGES = LIMITS | POWER_LAW_LIMITS
 """Allowed values of an iris's numbers."""
+_MELANINS = "eumelanin", "pheomelanin", "abl_fraction", "pheomelanin_abl_fraction"
 _DEEP = "depth-resolved"
 _ILIT = "process", ("ilit-2006", "ilit-corrected")
 _SAMPLED = "solver", ("monte-carlo",)
@@ -46,9 +47,17 @@ def _blood(name: str) -> Any:
     return opt.number(words, metavar=BLOOD[name].unit or "number")
 
 
+def _fraction(name: str) -> Any:
+    """Option of a melanin of a layer by its volume."""
+    words = f"{FRACTIONS[name].meaning}; sets F09's absorption, all four are needed"
+    return opt.number(words, metavar=FRACTIONS[name].unit, overrules=_MELANINS)
+
+
 # An option for each number of an iris, in the order of its fields; the class defines the others.
-_NAMES = ("level", *LIMITS, "melanin_load", *BLOOD, "scattering", *POWER_LAW_LIMITS)
+_CHOICES = "scattering", *POWER_LAW_LIMITS, "absorption"
+_NAMES = ("level", *LIMITS, "melanin_load", *BLOOD, *_CHOICES, *FRACTIONS)
 _FIELDS: dict[str, Any] = {n: _field(n) if n in RANGES else None for n in _NAMES}
+_FIELDS |= {n: _fraction(n) for n in FRACTIONS}
 _FIELDS["__annotations__"] = dict.fromkeys(_NAMES, float | None)
 _Numbers: type[opt.Group] = type("_Numbers", (opt.Group,), _FIELDS, panel="Iris")
 
@@ -73,6 +82,11 @@ class IrisOptions(_Numbers):
         get_args(Scattering),
         "lb06",
         overrules=tuple(POWER_LAW_LIMITS),
+    )
+    absorption: str = opt.choice(
+        "absorption of melanin, by LB06's tables or by F09's power laws",
+        get_args(Absorption),
+        "lb06",
     )
 
 
@@ -139,7 +153,7 @@ class SolverOptions(opt.Group, panel="Solver"):
 
 def modelled(options: IrisOptions, rules: ProcessOptions) -> tuple[ij.Iris, AbstractProcess]:
     """The iris and the process that the options describe."""
-    names = (*RANGES, "melanin_load", *BLOOD)
+    names = (*RANGES, "melanin_load", *BLOOD, *FRACTIONS)
     fields = {n: v for n in names if (v := getattr(options, n)) is not None}
     blood = {n: fields.pop(n) for n in BLOOD if n in fields}
     each = [opt.dashed(n) for n in ("oxyhemoglobin", "deoxyhemoglobin") if n in options.typed]
@@ -149,6 +163,8 @@ def modelled(options: IrisOptions, rules: ProcessOptions) -> tuple[ij.Iris, Abst
     if law and "scattering" in options.typed:
         said = "replaces the formula that --scattering names; give one of the two"
         raise ValueError(f"{law[0]} {said}")
+    if not fields.keys() & FRACTIONS.keys() or "absorption" in options.typed:
+        fields["absorption"] = options.absorption
     iris = ij.Iris.of_level(options.level).replace(**fields, scattering=options.scattering)
     iris = iris.replace(**blood) if blood else iris
     process = processes.POLARISED if rules.polarised else PROCESSES[rules.process]

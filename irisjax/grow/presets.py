@@ -65,7 +65,7 @@ def preset(
     check_known("eye colour", colour, sorted(_IRIDES))
     ilit, radiative = _IRIDES[colour]
     chosen = dict(zip(_FIELDS, ilit if isinstance(process, Ilit) else radiative, strict=True))
-    iris = Iris().replace(**(chosen | dict(pigments or {})))
+    iris = Iris().replace(**chosen).replace(**dict(pigments or {}))
     wanted = _FEATURES.get(colour, {}) | dict(features or {})
     return iris, procedural(iris, eye, shape=shape, **wanted, key=key)
 

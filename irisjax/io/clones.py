@@ -25,11 +25,12 @@ from irisjax.photo.clone import (
 )
 from irisjax.photo.overlay import draw_overlay
 from irisjax.photo.photograph import Ellipse
-from irisjax.photo.pigments import PIGMENT_UNITS, concentrations_of, iris_of_concentrations
+from irisjax.photo.pigments import PIGMENT_UNITS, iris_of_concentrations
 from irisjax.photo.pose import Pose, limbus_spread
 from irisjax.photo.texels import NAMES
 from irisjax.photo.texture import HALF_WIDTH
 from irisjax.render.integrators import integrator_name
+from irisjax.tissue.iris import Iris
 
 UNREFRACTED_PICTURE, VISIBLE_MASK = "unrefracted.png", "visible.png"
 """Names of the texture's picture, and of the mask of texels that show the iris."""
@@ -138,8 +139,8 @@ def summary_of(
         found |= {
             "lamps_found": clone.lighting.found,
             "thickness_response": clone.response,
-            "estimate": fit.values | concentrations_of(iris),
-            "units": PIGMENT_UNITS,
+            "estimate": fit.values | iris.layer_concentrations() | _by_volume(iris),
+            "units": PIGMENT_UNITS | dict.fromkeys(_by_volume(iris), "%"),
             "windows_rms": fit.rms,
             "steps": fit.steps,
             "converged": fit.converged,
@@ -148,7 +149,7 @@ def summary_of(
         own = clone.texels
         pairs = combinations(range(len(NAMES)), 2)
         found["texels"] = {
-            "medians": concentrations_of(own.iris),
+            "medians": own.iris.layer_concentrations() | _by_volume(own.iris),
             "scattering_scale": own.iris.scattering_scale,
             "exposure_factor": own.gain,
             "outside_share": own.outside,
@@ -177,6 +178,11 @@ def summary_of(
         }
     said = {kind: [d.sentence for d in doubts if d.kind == kind] for kind in DOUBTS}
     return found | {"seconds": timings, "doubts": said}
+
+
+def _by_volume(iris: Iris) -> dict[str, float]:
+    """Melanins in per cent of volume, of an iris with F09's absorption."""
+    return iris.volume_fractions() if iris.absorption == "f09" else {}
 
 
 def _pose(pose: Pose) -> dict[str, object]:
@@ -213,9 +219,10 @@ def scene_text(clone: Fitted) -> str:
     assert eye.cornea is not None
     pigments = "eumelanin", "pheomelanin", "abl_fraction", "pheomelanin_abl_fraction"
     structure = "stroma_thickness", "fibril_radius", "scattering_scale"
+    absorbs = () if scene.tissue.absorption == "lb06" else ("absorption",)
     places = "pupil_radius", "pupil_margin", "limbus_width", "iris_depth"
     sections: dict[str, object] = {
-        "iris": {name: getattr(scene.tissue, name) for name in (*pigments, *structure)},
+        "iris": {name: getattr(scene.tissue, name) for name in (*pigments, *structure, *absorbs)},
         "maps": {"file": "maps.exr"},
         "eye": {
             "cornea": "f09" if eye.cornea.posterior is None else "two-surfaces",

@@ -4,7 +4,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ from irisjax.render.environment import ENVIRONMENTS
 from irisjax.render.integrators import INTEGRATORS, finer
 from irisjax.render.lights import LIGHT_LIMITS, Lights
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
-from irisjax.tissue.iris import LIMITS, MELANIN_LOAD, Iris
+from irisjax.tissue.iris import FRACTIONS, LIMITS, MELANIN_LOAD, Absorption, Iris
 from irisjax.transport.process import AbstractProcess
 
 
@@ -222,6 +222,8 @@ SECTIONS: dict[str, dict[str, EntryCheck]] = {
         "melanin_load": MELANIN_LOAD,
         # Behind the iris of a picture is nothing: its epithelium is black.
         **{name: limits for name, limits in LIMITS.items() if name != "ipe_melanin"},
+        "absorption": get_args(Absorption),
+        **FRACTIONS,
     },
     "maps": {"seed": range(2**32), "file": str, "residual": bool, "uniform": bool, **FEATURES},
     "eye": {

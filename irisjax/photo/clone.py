@@ -67,7 +67,7 @@ from irisjax.transport.ilit.exact import IlitExact
 
 STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "texels", "posterior")
 """Names of the stages in their order; `"pigments"` stands for `Lit` and `Fitted`."""
-MEDIA = ("cornea-aqueous", "f09")
+MEDIA = ("cornea-aqueous", "f09", "f09-melanin")
 METHODS = ("least-squares", "simplex")
 _SOLVER_ANGLES = 12  # of ILIT during the search: radiances within 5e-5 of those of a picture
 FIBRILS = 57.0  # radius during the search, nm; the strength of their scattering is a free factor
@@ -88,7 +88,8 @@ class CloneSettings(NamedTuple):
     """Model and method of a clone.
 
     Attributes:
-        media: `"f09"` gives cornea and chamber one refractive index, 1.376 [F09 Section 4.1.1].
+        media: `"f09"` gives cornea and chamber one refractive index, 1.376 [F09 Section 4.1.1];
+            `"f09-melanin"` also gives the melanins F09's absorption.
         iris_depth: Distance of the iris behind the corneal apex, mm.
         focal_px: Focal length in pixels, in place of the photograph's own.
         azimuth: Azimuth of the camera (radians), if it is known to which side the eye is tilted.
@@ -427,7 +428,8 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
     pupil = part.moved(boundaries.pupil)
     clear, lids = part.clear(pupil)
     focal = None if focal is None else focal / part.reduction
-    media = {"cornea": Cornea.f09(), "aqueous_index": 1.376} if settings.media == "f09" else {}
+    f09 = {"cornea": Cornea.f09(), "aqueous_index": 1.376}
+    media = {} if settings.media == MEDIA[0] else f09
     eye = Eye().replace(**media, iris_depth=settings.iris_depth)
     known: dict[str, Any] = {"focal_px": focal, "azimuth": settings.azimuth}
     spread = boundaries.flattening_sd
@@ -513,6 +515,8 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     maps = average_maps(eye) if given.maps is None else given.maps
     depth = jnp.mean(jnp.asarray(maps.stroma_depth))
     base = Iris(fibril_radius=jnp.asarray(FIBRILS), stroma_thickness=depth)
+    if settings.media == "f09-melanin":
+        base = base.replace(absorption="f09")
     integrator = settings.integrator
     if isinstance(integrator, Separable):
         integrator = dataclasses.replace(integrator, solver=IlitExact(_SOLVER_ANGLES))

@@ -34,10 +34,8 @@ from irisjax.infer.posterior import Chains
 from irisjax.infer.priors import AbstractPrior, LogNormal
 from irisjax.numerics.portions import by_rows
 from irisjax.photo.windows import ANGLES, RINGS, Windows
-from irisjax.tissue.iris import Iris
+from irisjax.tissue.iris import CONCENTRATIONS, Iris
 
-CONCENTRATIONS = ("abl_eumelanin", "abl_pheomelanin", "stroma_eumelanin", "stroma_pheomelanin")
-"""The four concentrations that are sought, mg/ml of each layer."""
 _PHEOMELANIN_PER_EUMELANIN = 0.226  # with which F09 begins [F09 Section 5.2]
 PRIORS: dict[str, AbstractPrior] = {
     "abl_eumelanin": LogNormal(1.0, 1.3),
@@ -302,35 +300,8 @@ def sample_pigments(
 
 def iris_of_concentrations(values: dict[str, Any], base: Iris) -> Iris:
     """Return the iris of four concentrations (mg/ml of each layer) and a factor on scattering."""
-    whole = base.abl_thickness + base.stroma_thickness
-
-    def shared(kind):
-        abl = values[f"abl_{kind}"] * base.abl_thickness
-        total = abl + values[f"stroma_{kind}"] * base.stroma_thickness
-        none = total <= 0
-        return total / whole, jnp.where(none, 0.5, abl / jnp.where(none, 1.0, total))
-
-    (eumelanin, first), (pheomelanin, second) = shared("eumelanin"), shared("pheomelanin")
-    return base.replace(
-        eumelanin=eumelanin,
-        pheomelanin=pheomelanin,
-        abl_fraction=first,
-        pheomelanin_abl_fraction=second,
-        scattering_scale=values.get("scattering_scale", 1.0) * base.scattering_scale,
-    )
-
-
-def concentrations_of(iris: Iris) -> dict[str, float]:
-    """Return the four concentrations of an iris, mg/ml of each layer."""
-    second = iris.pheomelanin_abl_fraction
-    shares = iris.abl_fraction, iris.abl_fraction if second is None else second
-    whole = iris.abl_thickness + iris.stroma_thickness
-    found = {}
-    for kind, share in zip(("eumelanin", "pheomelanin"), shares, strict=True):
-        mass = getattr(iris, kind) * whole
-        found[f"abl_{kind}"] = float(mass * share / iris.abl_thickness)
-        found[f"stroma_{kind}"] = float(mass * (1 - share) / iris.stroma_thickness)
-    return {name: found[name] for name in CONCENTRATIONS}
+    scale = values.get("scattering_scale", 1.0) * base.scattering_scale
+    return base.with_layers(values).replace(scattering_scale=scale)
 
 
 def log_likelihood(off: WindowColours, response: WindowColours, present: _Present) -> Scalar:

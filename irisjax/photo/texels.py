@@ -26,7 +26,7 @@ from irisjax.numerics.interpolation import chebyshev
 from irisjax.numerics.portions import by_rows, in_portions
 from irisjax.photo.filling import fill_by_texture
 from irisjax.photo.photograph import Brightness, Colours, Mask
-from irisjax.photo.pigments import concentrations_of, iris_of_concentrations
+from irisjax.photo.pigments import iris_of_concentrations
 from irisjax.photo.texture import MAP_SHAPE, Unrefracted, fill_holes
 from irisjax.render import picture
 from irisjax.render import polynomials as products
@@ -262,7 +262,7 @@ def _moved(iris: Iris, factors: Float[np.ndarray, "3"]) -> Iris:
     there is denser instead.
     """
     stroma, eumelanin, pheomelanin = (float(f) for f in factors)
-    values = concentrations_of(iris)
+    values = iris.layer_concentrations()
     for name in values:
         values[name] *= eumelanin if name.endswith("eumelanin") and "pheo" not in name else 1
         values[name] *= pheomelanin if name.endswith("pheomelanin") else 1

@@ -23,14 +23,18 @@ def gladstone_dale(n_component: Numbers, fraction: Numbers, n_base: Numbers) -> 
 
 
 def scatterer_density(radius: Numbers, fraction: Numbers) -> Numbers:
-    """Compute spheres per volume, N = f/(4πr³/3)  [LB06 Eq. 4]; a radius in mm gives mm⁻³."""
+    """Compute spheres per volume, N = f/(4πr³/3)  [LB06 Eq. 4] [F09 Eq. 11].
+
+    A radius in mm gives mm⁻³.
+    """
     return fraction / (4 / 3 * jnp.pi * radius**3)
 
 
 def scattering_lb06(
     wavelengths: Spectrum, radius: Numbers, fraction: Numbers, n_collagen: Numbers, n_base: Numbers
 ) -> Spectrum:
-    """Compute the scattering coefficient (mm⁻¹) of LB06, 8π³/(3N)·(m² − 1)²·λ⁻⁴  [LB06 Eq. 5].
+    """Compute the scattering coefficient (mm⁻¹) of LB06, 8π³/(3N)·(m² − 1)²·λ⁻⁴  [LB06 Eq. 5]
+    [F09 Eq. 12].
 
     N is in the denominator as in Strutt's formula of a gas of dipoles, where m² − 1 itself grows
     with N; for spheres of a given index see `scattering_rayleigh_spheres`. Wavelengths and radius

@@ -1,7 +1,8 @@
 """`Iris`: the biophysical parameters of LB06, its levels, and the layers that follow from them."""
 
 import dataclasses
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax
@@ -22,7 +23,7 @@ from irisjax.tissue.indices import (
     gladstone_dale,
 )
 from irisjax.tissue.layers import Layers
-from irisjax.tissue.pigments import Extinction
+from irisjax.tissue.pigments import PER_CENT, Extinction
 from irisjax.tissue.scattering import POWER_LAW_LIMITS, PowerLaw
 
 _INF = float("inf")
@@ -67,14 +68,24 @@ BLOOD = {
     "saturation": Range(0, 1, "", "oxygen saturation, the share of oxyhaemoglobin"),
 }
 """Allowed values of what `Iris.replace` takes in place of the two haemoglobins."""
+CONCENTRATIONS = ("abl_eumelanin", "abl_pheomelanin", "stroma_eumelanin", "stroma_pheomelanin")
+"""The melanins of the two layers, mg/ml of each layer."""
+FRACTIONS = {
+    f"{name}_percent": Range(0, 100, "%", f"{kind} in the {layer}, in per cent of its volume")
+    for name in CONCENTRATIONS
+    for layer, kind in [name.replace("abl", "ABL").split("_")]
+}
+"""Allowed values of what `Iris.replace` takes, all four, in place of the melanins  [F09 Eq. 10]."""
+Absorption = Literal["lb06", "f09"]
 
+_SHARES = ("abl_fraction", "pheomelanin_abl_fraction")
 # Fields that decide the order of media.
 _OPTICAL = {
     *(n for n in LIMITS if n.endswith("_index")),
     "fibroblast_fraction",
     "collagen_fraction",
 }
-_CHOICES = ("scattering", "power_law")
+_CHOICES = ("scattering", "absorption", "power_law")
 
 _LEVELS = {"high": (1.008, 0.2674), "moderate": (0.8138, 0.2054), "low": (0.1201, 0.0194)}
 
@@ -123,6 +134,8 @@ class Iris(eqx.Module):
             rest of the light out behind; `None` for LB06's epithelium, which is black.
         scattering: Formula of the stroma's scattering: `"lb06"` as printed, or
             `"rayleigh-spheres"`, independent small spheres.
+        absorption: Absorption of the melanins: `"lb06"` by tables, or `"f09"` by F09's power laws,
+            under which `PER_CENT` states what a per cent of volume is.
         power_law: Power law that replaces the formula, for radiative transfer; `None` for none.
         order: Which layers are denser than their neighbours, known before tracing.
 
@@ -153,6 +166,7 @@ class Iris(eqx.Module):
     scattering_scale: Scalar = _parameter("scattering_scale", 1.0)
     ipe_melanin: Scalar | None = _parameter("ipe_melanin", None)
     scattering: Scattering = eqx.field(static=True, default="lb06")
+    absorption: Absorption = eqx.field(static=True, default="lb06")
     power_law: PowerLaw | None = None
     order: Order = eqx.field(init=False)
 
@@ -170,6 +184,7 @@ class Iris(eqx.Module):
             found = repr(self.scattering).split("(")[0]
             known = ", ".join(SCATTERING)
             raise ValueError(f"scattering = {found}; known: {known}; power_law holds a PowerLaw")
+        check_known("absorption", self.absorption, get_args(Absorption))
         object.__setattr__(self, "order", order)
 
     @classmethod
@@ -188,16 +203,19 @@ class Iris(eqx.Module):
         Args:
             **fields: New values of fields. Besides the fields, `melanin_load` (µg/mm²) rescales
                 both melanins after the other changes and keeps their ratio (all eumelanin if there
-                was none), `hemoglobin` (mmol/l) and `saturation` set both haemoglobins, and the
-                numbers of a `PowerLaw` change the iris's or make one.
+                was none), `hemoglobin` (mmol/l) and `saturation` set both haemoglobins, the
+                four `FRACTIONS` set the melanins and F09's absorption, and the numbers of a
+                `PowerLaw` change the iris's or make one.
 
         Raises:
             ValueError: For an unknown name and for a value out of range.
         """
         load = fields.pop("melanin_load", None)
         for name in fields:
-            known = ("melanin_load", *BLOOD, *LIMITS, *_CHOICES, *POWER_LAW_LIMITS)
+            known = ("melanin_load", *BLOOD, *FRACTIONS, *LIMITS, *_CHOICES, *POWER_LAW_LIMITS)
             check_known("parameter", name, known)
+        if FRACTIONS.keys() & fields.keys():
+            return self._with_fractions(fields, load)
         if blood := {name: fields.pop(name) for name in BLOOD if name in fields}:
             if set(fields) & {"oxyhemoglobin", "deoxyhemoglobin"}:
                 said = f"{' and '.join(blood)}: both haemoglobins are set by it"
@@ -226,6 +244,55 @@ class Iris(eqx.Module):
         return iris.replace(
             eumelanin=concentration * (1 - share), pheomelanin=concentration * share
         )
+
+    def _with_fractions(self, fields: dict[str, Any], load: Any) -> "Iris":
+        """A copy with F09's melanins, and with other fields changed before."""
+        if missing := [name for name in FRACTIONS if name not in fields]:
+            raise ValueError(f"the four {', '.join(FRACTIONS)} go together; give {missing[0]}")
+        given = {name: _as_float(name, fields.pop(name)) for name in FRACTIONS}
+        twice = [n for n in ("eumelanin", "pheomelanin", *_SHARES) if n in fields]
+        twice += ["melanin_load"] * (load is not None)
+        if twice or fields.get("absorption", "f09") != "f09":
+            name = (*twice, "absorption")[0]
+            raise ValueError(f"{', '.join(FRACTIONS)} set the melanins by F09; give no {name}")
+        for name, value in given.items():
+            check_range(name, value, FRACTIONS[name])
+        iris = self.replace(**fields, absorption="f09")
+        scale = PER_CENT / iris.intensification
+        values = zip(CONCENTRATIONS, given.values(), strict=True)
+        return iris.with_layers({name: scale * value for name, value in values})
+
+    def with_layers(self, concentrations: Mapping[str, Any]) -> "Iris":
+        """Return a copy with the melanins of both layers, by the names `CONCENTRATIONS`."""
+        depths = jnp.stack([self.abl_thickness, self.stroma_thickness])
+        fields = {}
+        for kind, share in zip(("eumelanin", "pheomelanin"), _SHARES, strict=True):
+            layers = [concentrations[f"{layer}_{kind}"] for layer in ("abl", "stroma")]
+            mass = layers[0] * depths[0], layers[1] * depths[1]
+            total = mass[0] + mass[1]
+            none = total <= 0
+            fields[kind] = total / (self.abl_thickness + self.stroma_thickness)
+            fields[share] = jnp.where(none, 0.5, mass[0] / jnp.where(none, 1.0, total))
+        return self.replace(**fields)
+
+    def layer_concentrations(self) -> dict[str, float]:
+        """Return the melanins of both layers, by the names `CONCENTRATIONS`."""
+        second = self.pheomelanin_abl_fraction
+        shares = self.abl_fraction, self.abl_fraction if second is None else second
+        whole = self.abl_thickness + self.stroma_thickness
+        found = {}
+        for kind, share in zip(("eumelanin", "pheomelanin"), shares, strict=True):
+            mass = getattr(self, kind) * whole
+            found[f"abl_{kind}"] = float(mass * share / self.abl_thickness)
+            found[f"stroma_{kind}"] = float(mass * (1 - share) / self.stroma_thickness)
+        return {name: found[name] for name in CONCENTRATIONS}
+
+    def volume_fractions(self) -> dict[str, float]:
+        """Return the melanins of both layers in per cent of volume, by the names `FRACTIONS`; of an
+        iris with LB06's absorption, those that absorb about as much  [F09 Eq. 10].
+        """
+        scale = float(self.intensification) / PER_CENT
+        return {f"{n}_percent": scale * c for n, c in self.layer_concentrations().items()}
 
     @property
     def melanin_load(self) -> Scalar:
@@ -267,7 +334,7 @@ class Iris(eqx.Module):
         )
 
     def layers(self, extinction: Extinction, aqueous_index: Scalar | float = AQUEOUS) -> Layers:
-        """Compute the optical depths of the layers  [LB06 Section 3.3, Eqs. 4, 5].
+        """Compute the layers' optical depths  [LB06 Section 3.3, Eqs. 4, 5] [F09 Eq. 10].
 
         Args:
             extinction: Extinction of the pigments at the wavelengths.
@@ -277,7 +344,7 @@ class Iris(eqx.Module):
             ValueError: If a field is an array: use `jax.vmap` for batches.
         """
         check_scalars(self, LIMITS)
-        e = extinction
+        e = extinction if self.absorption == "lb06" else extinction.by_f09()
         absorption = jnp.matmul(self._masses(), e.matrix, precision="highest")
         law = self.power_law
         if law is None:
@@ -322,6 +389,8 @@ class Iris(eqx.Module):
         lines = [f"  {n} = {v}{units[n]}" for n, v in self.parameters().items()]
         if self.power_law is None:
             lines.append(f"  scattering = {self.scattering}")
+        if self.absorption != "lb06":
+            lines.append(f"  absorption = {self.absorption}")
         return "Iris(\n" + "\n".join(lines) + "\n)"
 
 

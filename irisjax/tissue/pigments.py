@@ -30,6 +30,11 @@ _SOURCES: dict[str, tuple[str, str, float]] = {
 
 PIGMENTS = tuple(_SOURCES)
 """Names of the pigments, in the order of `Extinction`'s fields."""
+PER_CENT = 0.88
+"""Concentration times intensification, mg/ml, that is one per cent of volume by F09's absorption.
+LB06's melanin then absorbs as much as F09's within about a fifth from 400 to 700 nm, so that loads
+and priors keep their meaning.
+"""
 
 
 class Extinction(eqx.Module):
@@ -45,6 +50,14 @@ class Extinction(eqx.Module):
     deoxyhemoglobin: Spectrum
     lutein: Spectrum
     zeaxanthin: Spectrum
+
+    def by_f09(self) -> "Extinction":
+        """Return a copy with F09's power laws of the melanins, 6.6e10 λ^−3.33 and 2.9e14 λ^−4.75
+        mm⁻¹ (λ in nm) where they fill the whole volume  [F09 Eqs. 8, 9].
+        """
+        x, full = self.wavelengths, 100 * PER_CENT
+        melanins = 6.6e10 / full * x**-3.33, 2.9e14 / full * x**-4.75
+        return eqx.tree_at(lambda e: (e.eumelanin, e.pheomelanin), self, melanins)
 
     @property
     def matrix(self) -> Float[Array, "pigments wavelengths"]:

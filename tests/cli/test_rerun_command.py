@@ -9,6 +9,10 @@ from refusals import one_line
 from common import slowly
 
 DATA = Path(__file__).parents[2] / "data"
+F09_FIG_1 = (
+    *("--abl-eumelanin-percent", "7.56", "--abl-pheomelanin-percent", "5.84"),
+    *("--stroma-eumelanin-percent", "4.61", "--stroma-pheomelanin-percent", "2.11"),
+)
 GRID = ("--wavelengths", "400:700:100")
 
 
@@ -18,6 +22,7 @@ GRID = ("--wavelengths", "400:700:100")
         ("spectrum", "--melanin-load", "0.3", "--abl-index", "1.44", "--no-first-surface"),
         ("spectrum", "--process", "ilit-corrected", "--rescatter", "retest"),
         ("spectrum", "--process", "depth-resolved", "--scattering", "rayleigh-spheres"),
+        ("spectrum", *F09_FIG_1),
         ("spectrum", "--instrument", "radiance", "--illuminant", "FL3.1", "--cornea", "round-trip"),
         ("spectrum", "--cos-incidence", "diffuse", "--perturb-on-reflection"),
         ("spectrum", "--solver", "monte-carlo", "--photons", "2e3", "--seed", "7"),

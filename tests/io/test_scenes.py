@@ -15,6 +15,7 @@ from irisjax.io.scenes import SECTIONS, parse_scene, read_scene
 from irisjax.io.sections import checked
 from irisjax.render.environment import Environment
 from irisjax.render.picture import draw
+from irisjax.tissue import FRACTIONS
 from scene_files import BARE
 
 
@@ -58,6 +59,18 @@ def test_empty_file_is_the_default_eye():
 def test_one_chamber_has_one_index():
     found = parse_scene(BARE.replace('cornea = "none"', 'cornea = "f09"\nsclera = false')).scene()
     assert float(found.eye.aqueous_index) == pytest.approx(1.376)
+
+
+@pytest.mark.usefixtures("small")
+def test_the_eye_of_f09s_figure_1():
+    """A preset's maps with melanins in per cent of volume; one that is missing is named."""
+    shares = dict(zip(FRACTIONS, (7.56, 5.84, 4.61, 2.11), strict=True))
+    lines = [f"{name} = {value}" for name, value in shares.items()]
+    iris = parse_scene("\n".join(["[iris]", 'preset = "green"', *lines])).scene().tissue
+    assert iris.absorption == "f09"
+    assert iris.volume_fractions() == pytest.approx(shares, rel=1e-5)
+    with pytest.raises(ValueError, match=r"scene, line 1: iris: .*give stroma_pheomelanin_percent"):
+        parse_scene("\n".join(["[iris]", *lines[:3]])).scene()
 
 
 def test_the_file_that_explains_everything_names_every_entry():

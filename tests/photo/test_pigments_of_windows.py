@@ -13,7 +13,6 @@ from irisjax.photo.pigments import (
     CONCENTRATIONS,
     FREE_NAMES,
     RING,
-    concentrations_of,
     exposures_for,
     fit_pigments,
     iris_of_concentrations,
@@ -39,9 +38,9 @@ TRUE = np.array([_NAMED.get(name, 0.0) for name in FREE_NAMES])
 
 def test_concentrations_there_and_back():
     values = dict(zip(CONCENTRATIONS, (4.3, 1.8, 0.57, 0.24), strict=True))
-    found = concentrations_of(iris_of_concentrations(values, Iris()))
+    found = iris_of_concentrations(values, Iris()).layer_concentrations()
     assert found == pytest.approx(values)
-    none = concentrations_of(iris_of_concentrations(dict.fromkeys(CONCENTRATIONS, 0.0), Iris()))
+    none = iris_of_concentrations(dict.fromkeys(CONCENTRATIONS, 0.0), Iris()).layer_concentrations()
     assert none == pytest.approx(dict.fromkeys(CONCENTRATIONS, 0.0))
 
 

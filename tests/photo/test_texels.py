@@ -10,7 +10,6 @@ from window_scenes import EYE, LIGHTS, SHAPE
 
 from irisjax.photo.light import find_veil
 from irisjax.photo.photograph import Ellipse
-from irisjax.photo.pigments import concentrations_of
 from irisjax.photo.texels import colour_iris
 from irisjax.photo.texture import HALF_WIDTH, Unrefracted, sampled
 from irisjax.render.camera import Camera
@@ -110,7 +109,7 @@ def test_the_numbers_and_their_deviations_are_those_of_the_drawing(view):
     assert found.explained > 0.98 and found.gain == 1 and found.outside == 0
     cells = found.maps.shape[0] // ANGLES, found.maps.shape[1] // RADII
     shown = ~found.hidden
-    fitted, drawn = concentrations_of(found.iris), concentrations_of(BASE)
+    fitted, drawn = found.iris.layer_concentrations(), BASE.layer_concentrations()
     scales = {
         "stroma_depth": float(found.iris.scattering_scale / BASE.scattering_scale),
         "eumelanin": fitted["abl_eumelanin"] / drawn["abl_eumelanin"],
@@ -168,7 +167,7 @@ def test_an_exposure_that_is_not_known_moves_all_texels_as_their_deviations_say(
     assert (sure.common == 0).all()
     moved = []
     for found in (sure, off):
-        values = concentrations_of(found.iris)
+        values = found.iris.layer_concentrations()
         stroma = float(found.iris.scattering_scale) * np.asarray(found.maps.stroma_depth)
         melanins = (
             values[f"abl_{n}"] * np.asarray(getattr(found.maps, n))

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 import irisjax as ij
 from common import GRID, reference
 from irisjax.infer.parameters import of_iris
-from irisjax.tissue.iris import LIMITS
+from irisjax.tissue.iris import FRACTIONS, LIMITS
 from irisjax.tissue.pigments import extinction
 
 H_A, H_S = 0.05675, 0.2855
@@ -68,6 +68,46 @@ def test_abl_fraction_is_the_share_of_mass(fraction, eumelanin, pheomelanin, h_a
     near = partial(pytest.approx, rel=1e-13, abs=1e-300)
     assert layers.abl_absorption[0] == near(fraction * mass)
     assert layers.stroma_absorption[0] == near((1 - fraction) * mass)
+
+
+F09_FIG_1 = dict(zip(FRACTIONS, (7.56, 5.84, 4.61, 2.11), strict=True))
+
+
+def test_volume_fractions_absorb_as_f09s_power_laws():
+    """6.6e10 λ^−3.33 and 2.9e14 λ^−4.75 mm⁻¹, worked out by `bc` at 450 and 550 nm."""
+    eumelanin, pheomelanin = (
+        np.array([96.459779466, 49.446570979]),
+        np.array([72.383329748, 27.904562818]),
+    )
+    none = dict.fromkeys(("oxyhemoglobin", "deoxyhemoglobin", "lutein", "zeaxanthin"), 0.0)
+    for intensification in (2.2, 1.0):
+        iris = ij.Iris(abl_thickness=0.1).replace(
+            **none, **F09_FIG_1, intensification=intensification
+        )
+        layers = iris.layers(ij.extinction(np.array([450.0, 550.0])))
+        abl, stroma = layers.abl_absorption / 0.1, layers.stroma_absorption / H_S
+        np.testing.assert_allclose(abl, 0.0756 * eumelanin + 0.0584 * pheomelanin, rtol=1e-9)
+        np.testing.assert_allclose(stroma, 0.0461 * eumelanin + 0.0211 * pheomelanin, rtol=1e-9)
+        assert iris.volume_fractions() == pytest.approx(F09_FIG_1, rel=1e-12)
+    assert "absorption = f09" in repr(iris)
+    # A mg/ml means about as much by either absorption: a load of one is one of the other.
+    tables, laws = (ij.Iris(absorption=a).layers(ij.extinction(GRID)) for a in ("lb06", "f09"))
+    np.testing.assert_allclose(tables.abl_absorption, laws.abl_absorption, rtol=0.15)
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"abl_eumelanin_percent": 7.56}, "go together; give abl_pheomelanin_percent"),
+        (F09_FIG_1 | {"eumelanin": 1.0}, "give no eumelanin"),
+        (F09_FIG_1 | {"melanin_load": 1.0}, "give no melanin_load"),
+        (F09_FIG_1 | {"absorption": "lb06"}, "give no absorption"),
+        (F09_FIG_1 | {"stroma_eumelanin_percent": 101.0}, r"stroma_eumelanin_percent = 101 .*100"),
+    ],
+)
+def test_wrong_volume_fractions_are_refused(fields, said):
+    with pytest.raises(ValueError, match=said):
+        ij.Iris().replace(**fields)
 
 
 def test_melanin_load_is_settable():
