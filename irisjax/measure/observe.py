@@ -7,6 +7,7 @@ import jax
 
 from irisjax._types import PRNGKey
 from irisjax.measure.instrument import AbstractInstrument
+from irisjax.numerics.precision import full_precision
 from irisjax.numerics.sharding import laid_out
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
@@ -64,6 +65,7 @@ def observed(
     return laid_out(_traced, instrument.wavelengths, iris, instrument, solver, key)
 
 
+@full_precision
 def _traced(iris, instrument, solver, key):
     factor, light = instrument.incident()
     layers = iris.layers(instrument.pigments, instrument.media.aqueous)

@@ -18,6 +18,8 @@ import numpy as np
 from jax import Array
 from jax.core import Tracer
 
+from irisjax.numerics.precision import full_precision
+
 P = TypeVar("P")
 Rest = TypeVarTuple("Rest")
 T = TypeVar("T")
@@ -65,6 +67,7 @@ class Pixelwise(Generic[P, *Rest, T]):
     def __init__(self, f: Callable[[P, Unpack[Rest]], T]):
         functools.update_wrapper(self, f)
 
+        @full_precision
         def chunked(pixels: P, others: tuple[*Rest], share: Any, shares: int) -> T:
             def one(some: P) -> T:
                 return f(some, *others)

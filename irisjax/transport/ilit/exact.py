@@ -10,6 +10,7 @@ from jaxtyping import Array, Bool
 
 from irisjax._types import PRNGKey, Spectrum
 from irisjax.numerics.checks import check_whole
+from irisjax.numerics.precision import full_precision
 from irisjax.numerics.quadrature import cosine_rule
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, fresnel_at, refract, refracted
 from irisjax.tissue.layers import Layers
@@ -41,6 +42,7 @@ class IlitExact(AbstractSolver):
         check_whole("n_angles", self.n_angles, 4)
         check_process(self, Ilit)
 
+    @full_precision
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         check_rayleigh(self, layers)
         from_above, from_below = abl_responses(

@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from irisjax._types import PRNGKey
 from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.piecewise import piecewise
+from irisjax.numerics.precision import full_precision
 from irisjax.numerics.sharding import laid_out
 from irisjax.numerics.tucker import coefficients
 from irisjax.tissue.indices import Order, RefractiveIndices
@@ -92,6 +93,7 @@ class IlitTabulated(AbstractSolver):
             )
         return cls(abl_table, stroma_table, indices, error, process=process)
 
+    @full_precision
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         check_rayleigh(self, layers)
         check_black(self, layers)
@@ -132,6 +134,7 @@ class IlitTabulated(AbstractSolver):
 
 
 @eqx.filter_jit
+@full_precision
 def _nodes(depth, albedos, indices: RefractiveIndices, order: Order, process: Ilit):
     """Responses of the ABL (depths, 4), and of the stroma at each albedo (albedos, depths, 2)."""
 

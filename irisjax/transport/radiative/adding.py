@@ -17,6 +17,7 @@ from jax.core import Tracer
 from irisjax._types import PRNGKey, Real
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
+from irisjax.numerics.precision import full_precision
 from irisjax.numerics.sharding import laid_out
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.layers import Layers, share_of
@@ -89,6 +90,7 @@ class AddingDoubling(AbstractSolver):
     def numbers_per_wavelength(self) -> int:
         return self.n_angles**2
 
+    @full_precision
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         nodes = gauss_nodes(layers, self.n_angles)
         lit = beams_and_exits(layers, light, max(48, self.n_angles))

@@ -18,6 +18,7 @@ from jax.core import Tracer
 from irisjax._types import PRNGKey
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
+from irisjax.numerics.precision import full_precision
 from irisjax.numerics.sharding import laid_out
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light
@@ -79,6 +80,7 @@ class RadiativeExact(AbstractSolver):
         panels = resolution.panels_for(layers, self.n_depths, slant)
         return RadiativeExact(self.n_angles, self.n_depths, panels, process=self.process)
 
+    @full_precision
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         check_rayleigh(self, layers)
         how, polarisation = (self.n_depths, self.n_panels or 1), None

@@ -24,6 +24,7 @@ from jaxtyping import Array, Bool
 from irisjax._types import PRNGKey
 from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.portions import by_rows
+from irisjax.numerics.precision import full_precision
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.numerics.sharding import laid_out
 from irisjax.numerics.tucker import Tucker, grid_points
@@ -106,6 +107,7 @@ class RadiativeTabulated(AbstractSolver):
             )
         return dataclasses.replace(table, error=error)
 
+    @full_precision
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         check_rayleigh(self, layers)
         check_black(self, layers)

@@ -1,0 +1,38 @@
+"""What is multiplied in single precision on a graphics processor."""
+
+import re
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import export
+
+import irisjax as ij
+from irisjax.transport.defaults import table_for
+
+SOLVERS = {
+    "ILIT, exact": lambda: ij.IlitExact(4),
+    "ILIT, tabulated": lambda: table_for(ij.Iris().indices(), ij.ILIT_2006),
+    "radiative transfer, exact": lambda: ij.RadiativeExact(4, 4, 1),
+    "radiative transfer, tabulated": lambda: table_for(ij.Iris().indices(), ij.DEPTH_RESOLVED),
+    "radiative transfer, by doubling": lambda: ij.AddingDoubling(4, 4),
+}
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_products_keep_all_bits(name):
+    """Lowered for a GPU, which need not be there: no product may round its factors to TF32."""
+    grid = np.array([450.0, 550.0])
+
+    def reflectance(load):
+        iris = ij.Iris(eumelanin=load)
+        return ij.reflectance(iris, grid, solver=solver, throw=False).values.sum()
+
+    with jax.enable_x64(False):
+        solver = SOLVERS[name]()
+        program = export.export(jax.jit(jax.value_and_grad(reflectance)), platforms=["cuda"])
+        text = program(jnp.float32(1.0)).mlir_module()
+    products = re.findall(r"stablehlo\.dot_general.*", text)
+    assert products
+    assert not [p for p in products if "HIGHEST" not in p]
