@@ -156,13 +156,14 @@ def _numbers(key, quick):
             yield from _least_squares(name, problem, key, 16 * scale)
             if quick:
                 return
-    size = 1_000 if quick else 250_000 if on_cpu else 10**7
-    for name, process in PROCESSES.items():
-        yield from _photons(name, process, key, size)
-        if quick:
-            return
-    if not on_cpu:
-        yield from _photons("ilit-2006", ij.ILIT_2006, key, size, lanes=1 << 17)
+    else:
+        size = 1_000 if quick else 250_000 if on_cpu else 10**7
+        for name, process in PROCESSES.items():
+            yield from _photons(name, process, key, size)
+            if quick:
+                return
+        if not on_cpu:
+            yield from _photons("ilit-2006", ij.ILIT_2006, key, size, lanes=1 << 17)
     for name, process in PROCESSES.items():
         size = 16 * scale if process is ij.ILIT_2006 else scale
         yield from _spectra(f"{name}, exact", exact_solver(process), size, 8 if on_cpu else 1024)
@@ -252,7 +253,7 @@ def _photons(name, process, key, size, lanes=1 << 14):
     def call():
         return ij.reflectance(iris, GRID, solver=solver, key=key).values
 
-    yield from _timed(f"photons, {name}, {lanes} lanes a wavelength", size * GRID.size, call)
+    yield from _timed(f"photons, {name}, {lanes} lanes", size * GRID.size, call)
 
 
 if __name__ == "__main__":
