@@ -22,6 +22,8 @@ _COMMANDS = {
     "simulate-measurement": ("measure",),
     "fit": ("fit",),
     "compare-groups": ("groups",),
+    "map": ("map", "spectral", "xarray", "OpenImageIO", "tomlkit"),
+    "simulate-cube": ("simulate_cube",),
     "render": ("render", "OpenImageIO"),
     "export": ("export", "OpenImageIO", "trimesh"),
     "view": ("view", "OpenImageIO", "tomlkit", "viser"),
@@ -37,6 +39,7 @@ _EXTRAS = {
     "view": ("viser",),
     "video": ("av",),
     "raw": ("rawpy",),
+    "cubes": ("spectral", "xarray", "zarr"),
 }
 """Extras of the package and the modules that they bring; an extra may bring another's too."""
 

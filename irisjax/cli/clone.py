@@ -16,7 +16,7 @@ from irisjax._types import PRNGKey
 from irisjax.cli import options as opt
 from irisjax.cli.compiled import kept_tables
 from irisjax.cli.files import check_folder
-from irisjax.cli.scenes import lamps
+from irisjax.cli.scenes import lamps, outline_of
 from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
 from irisjax.io.clones import CLONE_FILES, OVERLAY, files_of, overlay_of
 from irisjax.io.eye_colours import COLOUR_FILES, colour_files
@@ -31,7 +31,7 @@ from irisjax.photo.clone import (
     per_cent,
 )
 from irisjax.photo.eye_colour import RINGS, EyeColour, RegionColour, colours_of
-from irisjax.photo.photograph import Ellipse, Photograph
+from irisjax.photo.photograph import Photograph
 from irisjax.plot.beside import Later, beside, here
 from irisjax.render.environment import Environment
 from irisjax.render.radiative import RadiativeIntegrator
@@ -99,8 +99,8 @@ class ClonePicture(opt.Group, panel="Photograph"):
         elif self.environment is not None:
             around = io.read_environment(self.environment)
         return cloning.Given(
-            limbus=_outline("--limbus", self.limbus),
-            pupil=_outline("--pupil", self.pupil),
+            limbus=outline_of("--limbus", self.limbus),
+            pupil=outline_of("--pupil", self.pupil),
             lights=lamps(self.light) if self.light else None,
             environment=around,
             freckles=_mask(self.freckles),
@@ -421,14 +421,3 @@ def _settings(picture: ClonePicture, model: CloneModel) -> cloning.CloneSettings
 
 def _mask(path: Path | None) -> np.ndarray | None:
     return None if path is None else io.read_image(path).pixels[..., 0] > 0.5
-
-
-def _outline(name: str, text: str | None) -> Ellipse | None:
-    if text is None:
-        return None
-    if len(numbers := opt.numbers(text)) != 5:
-        raise ValueError(f"{name} {text!r}: write X,Y,A,B,DEG, five numbers")
-    x, y, a, b, degrees = numbers
-    if not (a >= b > 0 and np.isfinite(numbers).all()):
-        raise ValueError(f"{name} {text!r}: the semi-axes must be A >= B > 0")
-    return Ellipse((x, y), (a, b), float(np.radians(degrees)))

@@ -7,33 +7,13 @@ import typer
 import irisjax as ij
 from irisjax import io
 from irisjax.cli.files import check_folder
+from irisjax.cli.fit_options import EPILOG as EPILOG
 from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler
 from irisjax.cli.options import dashed, grouped, tell
-from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
 from irisjax.plot.beside import beside, here
 from irisjax.transport.process import DEPTH_RESOLVED, option_of
 
 _NOT_CONVERGED = 3
-
-
-def _described(name: str) -> str:
-    known, mark = PARAMETERS[name], "*" if name in DEFAULT_FREE else "·"
-    unit = f" ({known.allowed.unit})" if known.allowed.unit else ""
-    return f"{mark} {name}{unit}: {known.allowed.meaning}; {known.prior!r}"
-
-
-EPILOG = "\n".join(
-    [
-        "Parameters and their priors (* free by default; ABL: anterior border layer).",
-        "What is neither free nor fixed is as in LB06's moderate iris. To name reduced_scattering, "
-        "rayleigh_share, scattering_power or anisotropy puts a power law of scattering in the "
-        "place of LB06's formula; it takes --process depth-resolved.",
-        *map(_described, PARAMETERS),
-        "Kinds of priors: normal(mean, sd), lognormal(median, sd of ln), logitnormal(median, sd of "
-        "logit), uniform(low, high), loguniform(low, high).",
-    ]
-)
-"""What follows the options in the help."""
 
 
 @grouped

@@ -11,7 +11,7 @@ from irisjax import io
 from irisjax.cli import options as opt
 from irisjax.cli.light import bands_file, bands_told, bandwidth, crossing
 from irisjax.infer.observation import RADIANCE, REFLECTANCE
-from irisjax.infer.parameters import PARAMETERS
+from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
 from irisjax.infer.priors import AbstractPrior, prior_of
 from irisjax.io.measured import QUANTITIES, REFLECTANCE_UNITS, WAVELENGTH_UNITS, ReadOptions
 from irisjax.measure.passbands import BANDWIDTH
@@ -19,6 +19,26 @@ from irisjax.numerics.checks import Range
 from irisjax.transport.process import DEPTH_RESOLVED, PROCESSES, option_of
 
 Span = tuple[float, float]
+
+
+def _described(name: str) -> str:
+    known, mark = PARAMETERS[name], "*" if name in DEFAULT_FREE else "·"
+    unit = f" ({known.allowed.unit})" if known.allowed.unit else ""
+    return f"{mark} {name}{unit}: {known.allowed.meaning}; {known.prior!r}"
+
+
+EPILOG = "\n".join(
+    [
+        "Parameters and their priors (* free by default; ABL: anterior border layer).",
+        "What is neither free nor fixed is as in LB06's moderate iris. To name reduced_scattering, "
+        "rayleigh_share, scattering_power or anisotropy puts a power law of scattering in the "
+        "place of LB06's formula; it takes --process depth-resolved.",
+        *map(_described, PARAMETERS),
+        "Kinds of priors: normal(mean, sd), lognormal(median, sd of ln), logitnormal(median, sd of "
+        "logit), uniform(low, high), loguniform(low, high).",
+    ]
+)
+"""What follows the options in the help."""
 
 
 def _span(text: str) -> Span:
@@ -56,12 +76,9 @@ def _prior(text: str) -> tuple[str, AbstractPrior]:
     return name, prior_of(value, *PARAMETERS[name].support)
 
 
-class Measurements(opt.Group, panel="Measurement"):
-    spectra: list[Path] | None = opt.argument(
-        "file of wavelengths and reflectances (CSV, an instrument's text, JCAMP-DX); several are "
-        "of one eye, fitted together",
-        "SPECTRUM",
-    )
+class SpectralMeasurement(opt.Group, panel="Measurement"):
+    """What is said of a measured spectrum or of a cube of them."""
+
     relative_noise: float = opt.number(
         "noise, a share of the reflectance, of files with neither sd nor repeated scans",
         Range(0, 10),
@@ -74,6 +91,29 @@ class Measurements(opt.Group, panel="Measurement"):
         2e-4,
         metavar="REFLECTANCE",
     )
+    unit: str | None = opt.choice("of reflectances, where the file does not say", REFLECTANCE_UNITS)
+    wavelength_unit: str | None = opt.choice("where the file does not say", WAVELENGTH_UNITS)
+    wavelengths: Span | None = opt.option(
+        "leave out wavelengths outside this range, nm", parse=_span, metavar="LOW:HIGH"
+    )
+    bandwidth: float | None = bandwidth()
+    bands: Path | None = bands_file()
+    cos_incidence: float | str = opt.option(
+        "of the light's angle from the normal, 0 to 1; or diffuse",
+        1.0,
+        parse=opt.cosine,
+        metavar="COSINE",
+    )
+    cornea: str = crossing()
+    first_surface: bool = opt.flag("the iris's own mirror reflection is in the data", True)
+
+
+class Measurements(SpectralMeasurement):
+    spectra: list[Path] | None = opt.argument(
+        "file of wavelengths and reflectances (CSV, an instrument's text, JCAMP-DX); several are "
+        "of one eye, fitted together",
+        "SPECTRUM",
+    )
     outliers: bool = opt.flag("heavy-tailed noise: single wild values do no harm")
     discrepancy: Span | None = opt.option(
         "allow the model a smooth error: size and correlation length, such as 0.02:80",
@@ -85,17 +125,10 @@ class Measurements(opt.Group, panel="Measurement"):
         "is 1 at 560 nm",
         QUANTITIES,
     )
-    unit: str | None = opt.choice("of reflectances, where the file does not say", REFLECTANCE_UNITS)
     column: str | None = opt.option(
         "the column or block that holds the spectrum, where there are several", metavar="NAME"
     )
     sd: str | None = opt.option("the column of its standard deviation", metavar="NAME")
-    wavelength_unit: str | None = opt.choice("where the file does not say", WAVELENGTH_UNITS)
-    wavelengths: Span | None = opt.option(
-        "leave out wavelengths outside this range, nm", parse=_span, metavar="LOW:HIGH"
-    )
-    bandwidth: float | None = bandwidth()
-    bands: Path | None = bands_file()
     boxcar: float | None = opt.number(
         "width of a moving average (boxcar) that made the values; {}", BANDWIDTH, metavar="NM"
     )
@@ -112,14 +145,6 @@ class Measurements(opt.Group, panel="Measurement"):
     illuminant: str = opt.option(
         "of a radiance, by its name in colour-science", "D65", metavar="NAME"
     )
-    cos_incidence: float | str = opt.option(
-        "of the light's angle from the normal, 0 to 1; or diffuse",
-        1.0,
-        parse=opt.cosine,
-        metavar="COSINE",
-    )
-    cornea: str = crossing()
-    first_surface: bool = opt.flag("the iris's own mirror reflection is in the data", True)
 
     @property
     def noise(self) -> ij.Noise:
@@ -149,7 +174,9 @@ class Measurements(opt.Group, panel="Measurement"):
         return ReadOptions(**{name: getattr(self, name) for name in ReadOptions._fields})
 
 
-class Model(opt.Group, panel="Model"):
+class PixelModel(opt.Group, panel="Model"):
+    """Model of a spectrum."""
+
     free: tuple[str, ...] | None = opt.option(
         "parameters to infer, separated by commas; default: those marked * below",
         parse=_names,
@@ -163,11 +190,6 @@ class Model(opt.Group, panel="Model"):
         parse=_prior,
         metavar="NAME=PRIOR",
     )
-    separate: tuple[str, ...] | None = opt.option(
-        "parameters that each of several spectra has for itself, by commas: NAME@1, NAME@2, ...",
-        parse=_names,
-        metavar="NAMES",
-    )
     process: str | None = opt.option(
         f"rules of light transport: {', '.join(PROCESSES)}; default depth-resolved (radiative "
         "transfer), or those by which irisjax simulated the file",
@@ -179,11 +201,22 @@ class Model(opt.Group, panel="Model"):
         """Return what `irisjax.problem` is told of the parameters, for files with these headers."""
         return {
             "free": self.free,
-            "separate": self.separate or (),
             "fixed": dict(self.fix or ()),
             "priors": dict(self.prior or ()),
             "process": PROCESSES[self.process or process_of(headers)],
         }
+
+
+class Model(PixelModel):
+    separate: tuple[str, ...] | None = opt.option(
+        "parameters that each of several spectra has for itself, by commas: NAME@1, NAME@2, ...",
+        parse=_names,
+        metavar="NAMES",
+    )
+
+    def stated(self, headers: Iterable[Mapping[str, str]]) -> dict[str, Any]:
+        """Return also what differs between several spectra of one eye."""
+        return {**super().stated(headers), "separate": self.separate or ()}
 
 
 def process_of(headers: Iterable[Mapping[str, str]]) -> str:

@@ -12,6 +12,7 @@ from irisjax.cli import options as opt
 from irisjax.grow.presets import PRESETS
 from irisjax.io.images import read_environment
 from irisjax.io.scenes import SceneFile, parse_scene, read_scene
+from irisjax.photo.photograph import Ellipse
 from irisjax.render import scene as staging
 from irisjax.render.environment import ENVIRONMENTS, Environment
 from irisjax.render.lights import Lights
@@ -92,6 +93,18 @@ def lamps(texts: list[str], illuminant: str = "D65") -> Lights:
         except ValueError as error:
             raise ValueError(f"--light {text!r}: {error}") from None
     return functools.reduce(operator.add, made)
+
+
+def outline_of(name: str, text: str | None) -> Ellipse | None:
+    """An outline as --limbus and --pupil write it."""
+    if text is None:
+        return None
+    if len(numbers := opt.numbers(text)) != 5:
+        raise ValueError(f"{name} {text!r}: write X,Y,A,B,DEG, five numbers")
+    x, y, a, b, degrees = numbers
+    if not (a >= b > 0 and all(map(math.isfinite, numbers))):
+        raise ValueError(f"{name} {text!r}: the semi-axes must be A >= B > 0")
+    return Ellipse((x, y), (a, b), math.radians(degrees))
 
 
 def _size(text: str) -> tuple[int, int]:

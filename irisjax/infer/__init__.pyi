@@ -18,6 +18,14 @@ from .parameters import DEFAULT_FREE as DEFAULT_FREE
 from .parameters import PARAMETERS as PARAMETERS
 from .parameters import Parameter as Parameter
 from .parameters import of_iris as of_iris
+from .pixels import PixelFits as PixelFits
+from .pixels import PixelFlag as PixelFlag
+from .pixels import Starts as Starts
+from .pixels import fit_pixels as fit_pixels
+from .pixels import iris_of_pixels as iris_of_pixels
+from .pixels import maps_of_pixels as maps_of_pixels
+from .pixels import predict_pixels as predict_pixels
+from .pixels import prior_starts as prior_starts
 from .populations import Population as Population
 from .populations import population as population
 from .posterior import Chains as Chains

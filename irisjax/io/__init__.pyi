@@ -2,6 +2,12 @@
 
 from .clone_folders import CloneFolder as CloneFolder
 from .clone_folders import read_clone as read_clone
+from .cubes import Cube as Cube
+from .cubes import Reflectances as Reflectances
+from .cubes import read_cube as read_cube
+from .cubes import read_map as read_map
+from .cubes import read_reference as read_reference
+from .cubes import writing_maps as writing_maps
 from .fits import FittedEyes as FittedEyes
 from .fits import read_fits as read_fits
 from .images import Image as Image

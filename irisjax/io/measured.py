@@ -166,7 +166,7 @@ def _spectrum(table: Columns, how: ReadOptions, chosen: Selection) -> Measured:
         notes.append(f"{(~kept).sum()} of {kept.size} wavelengths without a value skipped")
     values, where = values[kept], where[kept]
     x = _in_nm(values[:, 0], where, table.names[0], how.wavelength_unit, notes)
-    kept = _in_range(x, how.wavelengths, notes)
+    kept = within_range(x, how.wavelengths, notes)
     order = np.flatnonzero(kept)[np.argsort(x[kept], kind="stable")]
     x, where = x[order], where[order]
     for i in np.flatnonzero(np.diff(x) == 0)[:1]:
@@ -233,7 +233,7 @@ def _in_nm(
     return WAVELENGTH_UNITS[unit or "nm"](x)
 
 
-def _in_range(x: np.ndarray, asked: tuple[float, float] | None, notes: list[str]) -> np.ndarray:
+def within_range(x: np.ndarray, asked: tuple[float, float] | None, notes: list[str]) -> np.ndarray:
     """Which wavelengths are asked for and covered by the pigment tables."""
     (low, high), why = common_range(), "which the pigment tables cover"
     if asked is not None:

@@ -6,6 +6,8 @@ from .clone import side_by_side as side_by_side
 from .fits import corner_figure as corner_figure
 from .fits import fit_figure as fit_figure
 from .fits import models_figure as models_figure
+from .maps import flags_figure as flags_figure
+from .maps import maps_figure as maps_figure
 from .measurements import brdf_figure as brdf_figure
 from .measurements import spectra_figure as spectra_figure
 from .pictures import PALETTE as PALETTE

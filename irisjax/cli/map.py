@@ -1,0 +1,420 @@
+"""`irisjax map`: a hyperspectral cube in, maps of the iris's pigments with their deviations out."""
+
+import contextlib
+import math
+import os
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import distance_transform_edt, map_coordinates
+from tqdm import tqdm
+
+import irisjax as ij
+from irisjax import io
+from irisjax._interrupt import unfinished
+from irisjax.cli import options as opt
+from irisjax.cli.files import check_folder
+from irisjax.cli.fit_options import EPILOG as EPILOG
+from irisjax.cli.fit_options import PixelModel, SpectralMeasurement
+from irisjax.cli.light import bands_told
+from irisjax.cli.report import print_table
+from irisjax.cli.scenes import outline_of
+from irisjax.infer import pixels as fitting
+from irisjax.infer.parameters import unit_of
+from irisjax.infer.pixels import PixelFits, PixelFlag, Starts
+from irisjax.io.cubes import Reflectances, Rows, read_cube, read_map, read_reference, writing_maps
+from irisjax.io.maps import encode_maps
+from irisjax.io.measured import within_range
+from irisjax.io.sections import plain, toml_of
+from irisjax.io.tables import replacing
+from irisjax.measure.passbands import Passbands
+from irisjax.numerics.checks import Range
+from irisjax.photo.photograph import Ellipse
+from irisjax.plot import flags_figure, maps_figure, picture
+from irisjax.tissue.maps import cell_centres
+from irisjax.transport.process import DEPTH_RESOLVED, Ilit, option_of
+
+_CHUNK = 1 << 14  # pixels that are read and fitted at a time
+_SAMPLE = 1024  # pixels of the coarse level, in which all others find their starts
+_SHOWN = 1024  # rows and columns of a picture, at most
+_RADIUS = 512  # of the limbus in the maps for the renderers, texels at most
+_MANY = 0.1  # share of misfits that is doubted
+FLAGS = {
+    PixelFlag.MASKED: "masked",
+    PixelFlag.NOT_A_NUMBER: "no number in a band",
+    PixelFlag.SATURATED: "saturated",
+    PixelFlag.NOT_CONVERGED: "not converged",
+    PixelFlag.OFF_PRIOR: "far off a prior",
+    PixelFlag.MISFIT: "misfit",
+}
+"""Flags of pixels in words."""
+
+
+def _share(text: str) -> tuple[float, float]:
+    found = opt.numbers(text.replace(":", ","))
+    if len(found) != 2 or not 0 <= found[0] < found[1]:
+        raise ValueError(f"{text!r}: write two reflectances, such as 0.005:0.4")
+    return found[0], found[1]
+
+
+class CubeMeasurement(SpectralMeasurement):
+    cube: Path = opt.argument("ENVI (.hdr), NetCDF (.nc) or Zarr (.zarr)", "CUBE", ...)
+    white: Path | None = opt.option(
+        "white reference: a cube of the same columns, or a table of wavelengths and values",
+        metavar="FILE",
+    )
+    dark: Path | None = opt.option("the same of the dark signal", metavar="FILE")
+    white_reflectance: float = opt.number(
+        "reflectance of the white standard, {}", Range(0, 2, above=True), 1.0
+    )
+    ceiling: float | None = opt.number(
+        "stored value from which a band is saturated; default: the largest that the file's whole "
+        "numbers can be"
+    )
+    variable: str | None = opt.option(
+        "variable of NetCDF or Zarr, where several have three axes", metavar="NAME"
+    )
+
+
+class PixelChoice(opt.Group, panel="Pixels"):
+    mask: Path | None = opt.option(
+        "picture of the cube's size, white where pixels are used", metavar="FILE.png"
+    )
+    brightness: tuple[float, float] | None = opt.option(
+        "use pixels whose mean reflectance over the bands is in this range",
+        parse=_share,
+        metavar="LOW:HIGH",
+    )
+    limbus: str | None = opt.option(
+        "outline of the limbus: centre (column, row), semi-axes (pixels), angle of the larger one "
+        "from the right towards the top; pixels outside are masked",
+        metavar="X,Y,A,B,DEG",
+    )
+    pupil: str | None = opt.option(
+        "the same of the pupil; with both the maps for the renderers are written too",
+        metavar="X,Y,A,B,DEG",
+    )
+
+
+class MapFiles(opt.Group, panel="Files"):
+    output: Path = opt.output(
+        "for maps.nc, a PNG of each map, overview.png; with --pupil and --limbus maps.exr and "
+        "scene.toml for irisjax view and render",
+        "FOLDER",
+        ...,
+    )
+    overwrite: bool = opt.flag("replace the maps in FOLDER")
+
+
+@opt.grouped
+def map_command(
+    measured: CubeMeasurement, pixels: PixelChoice, model: PixelModel, files: MapFiles
+) -> None:
+    """Map the pigments of an iris from a hyperspectral cube, with standard deviations.
+
+    For example: irisjax map iris.hdr --white white.hdr --dark dark.hdr -o maps
+
+    Every pixel is fitted by least squares as irisjax fit does it, and its covariance kept.
+    The cube is read by rows: it may be larger than the memory. Flags of pixels: 1 masked,
+    2 no number in a band, 4 saturated, 8 not converged, 16 a parameter more than 4 standard
+    deviations off its prior, 32 the model does not produce these data; they add.
+
+    Exit status: 0; 2 for wrong input.
+    """
+    folder, outlines = files.output, _outlines(pixels)
+    check_folder(folder, "maps.nc", "maps", files.overwrite)
+    source, problem = _stated(measured, pixels, model, outlines)
+    with ThreadPoolExecutor(_cores()) as pool:
+        sample = _sample(source)
+        source.check(sample)
+        starts = fitting.prior_starts(problem, pool.map)
+        if math.prod(source.cube.shape[:2]) > 4 * _SAMPLE:
+            found = fitting.fit_pixels(problem, sample, starts, pool.map)
+            starts = Starts(found.z, found.predicted)
+        with _new_folder(folder), replacing(folder / "maps.nc") as made:
+            counts = _written(made, source, problem, starts, measured, pool)
+            _draw(made, folder, problem, outlines)
+    rows, columns, _ = source.cube.shape
+    said = [f"{n} {FLAGS[flag]}" for flag, n in counts.items() if n]
+    print_table([], _medians(folder / "maps.nc", problem), [], title=f"{folder}: medians")
+    opt.tell(f"{rows * columns} pixels: {', '.join(said) or 'none flagged'}")
+    fitted = rows * columns - sum(counts[f] for f in list(FLAGS)[:3])
+    if counts[PixelFlag.MISFIT] > _MANY * fitted:
+        opt.tell("WARNING: the model does not produce the spectra of many pixels: see the misfit")
+
+
+def _outlines(pixels: PixelChoice) -> tuple[Ellipse, Ellipse] | None:
+    """Pupil and limbus."""
+    pupil, limbus = outline_of("--pupil", pixels.pupil), outline_of("--limbus", pixels.limbus)
+    if (pupil is None) != (limbus is None):
+        raise ValueError("--pupil and --limbus go together: give both, or neither")
+    return None if pupil is None or limbus is None else (pupil, limbus)
+
+
+def _stated(
+    measured: CubeMeasurement,
+    pixels: PixelChoice,
+    model: PixelModel,
+    outlines: tuple[Ellipse, Ellipse] | None,
+) -> tuple[Reflectances, ij.Problem]:
+    """The reflectances of the cube, and the problem that each pixel is."""
+    how = {"variable": measured.variable, "wavelength_unit": measured.wavelength_unit}
+    cube = read_cube(measured.cube, **how)
+    bands, grid = bands_told(measured.bandwidth, measured.bands), cube.wavelengths
+    if grid is None and isinstance(bands, Passbands):
+        grid = np.asarray(bands.centres)
+    if grid is None or grid.size != cube.shape[2]:
+        said = "no wavelengths of its bands" if grid is None else f"{cube.shape[2]} bands"
+        to_do = "give --bands FILE with the centre of each"
+        raise ValueError(f"{cube.path}: has {said}; {to_do}")
+    notes: list[str] = []
+    used = np.flatnonzero(within_range(grid, measured.wavelengths, notes))
+    for note in notes:
+        opt.tell(f"{cube.path}: {note}")
+    if bands is None and cube.fwhm is not None and (cube.fwhm > 0).all():
+        bands = Passbands.slit(grid[used], cube.fwhm[used])
+        opt.tell(f"{cube.path}: bandwidths as the file says; --bandwidth otherwise")
+    seen: dict[str, Any] = {n: getattr(measured, n) for n in ("cos_incidence", "first_surface")}
+    seen |= {"bands": bands, "cornea": None if measured.cornea == "auto" else measured.cornea}
+    blank = ij.spectrum(grid[used], np.zeros(used.size), name=str(cube.path), **seen)
+    noise: Any = measured.relative_noise, measured.absolute_noise
+    problem = ij.problem(blank, noise=ij.Noise(*noise), **model.stated([cube.header]))
+    if model.process is None and problem.process != DEPTH_RESOLVED:
+        opt.tell(f"read by {option_of(problem.process)}, by which irisjax simulated the file")
+    white, dark = (
+        None if path is None else read_reference(path, cube, **how)
+        for path in (measured.white, measured.dark)
+    )
+    return Reflectances(
+        cube, white, dark, measured.white_reflectance,
+        0.01 if measured.unit == "percent" else 1.0,
+        cube.ceiling if measured.ceiling is None else measured.ceiling,
+        _kept(pixels, cube.shape[:2], outlines), pixels.brightness, used,
+    ), problem  # fmt: skip
+
+
+def _kept(pixels: PixelChoice, shape: tuple[int, ...], outlines: Any) -> Rows | None:
+    """A function of the first and the last row that returns which pixels are used."""
+    mask = None
+    if pixels.mask is not None:
+        mask = io.read_image(pixels.mask).pixels[..., 0] > 0.5
+        if mask.shape != shape:
+            sizes = [f"{columns} x {rows}" for rows, columns in (mask.shape, shape)]
+            raise ValueError(f"{pixels.mask}: is {sizes[0]} pixels, the cube {sizes[1]}")
+    if mask is None and outlines is None:
+        return None
+
+    def kept(first: int, last: int) -> np.ndarray:
+        found = np.ones((last - first, shape[1]), bool) if mask is None else mask[first:last]
+        if outlines is None:
+            return found
+        row, column = np.mgrid[first:last, : shape[1]]
+        pupil, limbus = (outline.relative_radius(column, row) for outline in outlines)
+        return found & (pupil > 1) & (limbus < 1)
+
+    return kept
+
+
+def _sample(source: Reflectances) -> np.ndarray:
+    """Spectra of pixels spread over the cube; `ValueError` where none can be used."""
+    rows = source.cube.shape[0]
+    spread = np.unique(np.linspace(0, rows - 1, 66).round().astype(int))
+    counts = dict.fromkeys(list(FLAGS)[:3], 0)
+    for chosen in (spread, np.setdiff1d(np.arange(rows), spread)):
+        found = []
+        for row in chosen.tolist():
+            values, flags = source.read(row, row + 1)
+            good = values[flags == 0]
+            most = -(-_SAMPLE // len(chosen))
+            found.append(good[np.linspace(0, len(good) - 1, min(most, len(good))).astype(int)])
+            for flag in counts:
+                counts[flag] += int(((flags & flag) > 0).sum())
+        if sum(map(len, found)):
+            return np.concatenate(found)
+    said = ", ".join(f"{n} {FLAGS[flag]}" for flag, n in counts.items() if n)
+    raise ValueError(f"{source.cube.path}: no pixel is left to fit: {said}")
+
+
+def _written(
+    path: Path,
+    source: Reflectances,
+    problem: ij.Problem,
+    starts: Starts,
+    measured: CubeMeasurement,
+    pool: ThreadPoolExecutor,
+) -> dict[PixelFlag, int]:
+    """Fit all pixels into a file; how many have each flag."""
+    rows, columns, _ = source.cube.shape
+    step, counts = max(1, _CHUNK // columns), dict.fromkeys(FLAGS, 0)
+    names = [n for n in problem.free if not n.startswith("noise")]
+    form = dict(zip(problem.free, map(repr, problem.priors), strict=True))
+    variables: dict[str, Any] = {}
+    for name in (*names, *(["abl_melanin"] if _has_abl(names) else [])):
+        said = {"units": unit_of(name) or "1", "_FillValue": np.float32(np.nan)}
+        prior = {"prior": form[name]} if name in form else {}
+        variables[name] = (), "f4", {**said, **prior}
+        variables[f"{name}_sd"] = (), "f4", {**said, "long_name": f"standard deviation of {name}"}
+    wide = {"long_name": "covariance of the parameters in their units"}
+    variables["covariance"] = (
+        ("parameter", "other"),
+        "f4",
+        {**wide, "_FillValue": np.float32(np.nan)},
+    )
+    misfit = {"long_name": "sum of squared residuals over the number of bands", "units": "1"}
+    variables["reduced_chi_square"] = (), "f4", {**misfit, "_FillValue": np.float32(np.nan)}
+    variables["flag"] = (), "u1", {
+        "flag_masks": np.array([int(f) for f in FLAGS], np.uint8),
+        "flag_meanings": " ".join(w.replace(" ", "_") for w in FLAGS.values()),
+    }  # fmt: skip
+    attributes = {
+        "irisjax": ij.__version__, "cube": str(source.cube.path.name),
+        "process": option_of(problem.process), "relative_noise": f"{measured.relative_noise:g}",
+        "absolute_noise": f"{measured.absolute_noise:g}",
+        "fixed": ", ".join(f"{n} = {float(v):.6g}" for n, v in problem.fixed.items()),
+    }  # fmt: skip
+    if "simulated" in source.cube.header:
+        attributes["simulated"] = source.cube.header["simulated"]
+    along = {"parameter": names, "other": names}
+    how: dict[str, Any] = {"unit": "pixel", "disable": not sys.stderr.isatty()}
+    with (
+        writing_maps(path, (rows, columns), variables, along, attributes) as write,
+        tqdm(total=rows * columns, **how) as bar,
+    ):
+        for first in range(0, rows, step):
+            values, flags = source.read(first, min(first + step, rows))
+            good = flags == 0
+            found: dict[str, np.ndarray] = {}
+            if good.any():
+                fits = fitting.fit_pixels(problem, values[good], starts, pool.map)
+                found, flags[good] = _maps(fits), fits.flags
+            for name, (more, dtype, _) in variables.items():
+                shape = (*flags.shape, *(len(names) for _ in more))
+                array = flags if name == "flag" else np.full(shape, np.nan, dtype)
+                if name in found:
+                    array[good] = found[name]
+                write(name, first, array)
+            for flag in counts:
+                counts[flag] += int(((flags & flag) > 0).sum())
+            bar.update(flags.size)
+    return counts
+
+
+def _has_abl(names: list[str]) -> bool:
+    return {"melanin_load", "abl_fraction"} <= set(names)
+
+
+def _maps(fits: PixelFits) -> dict[str, np.ndarray]:
+    """Arrays of fitted pixels by the names of maps."""
+    found = {"covariance": fits.covariance, "reduced_chi_square": fits.chi_square}
+    for name, values, sd in zip(fits.names, fits.values.T, fits.sd.T, strict=True):
+        found |= {name: values, f"{name}_sd": sd}
+    if (both := fits.abl_melanin()) is not None:
+        found |= {"abl_melanin": both[0], "abl_melanin_sd": both[1]}
+    return found
+
+
+def _draw(made: Path, folder: Path, problem: ij.Problem, outlines: Any) -> None:
+    """Write pictures of the maps, and the maps for the renderers."""
+    flags = read_map(made, "flag")
+    extent, step = flags.shape, max(1, -(-max(flags.shape) // _SHOWN))
+    names = [n for n in problem.free if not n.startswith("noise")]
+    names = [*names, *(["abl_melanin"] if _has_abl(names) else [])]
+    shown = {n: (read_map(made, n, step), unit_of(n)) for n in names}
+    misfit = {"reduced_chi_square": (read_map(made, "reduced_chi_square", step), "")}
+    drawn = {"overview": maps_figure(shown | misfit, extent)}
+    drawn["reduced_chi_square"] = maps_figure(misfit, extent)
+    drawn["flag"] = flags_figure(flags[::step, ::step], {int(f): w for f, w in FLAGS.items()})
+    for name, (values, unit) in shown.items():
+        sd = f"{name}_sd"
+        both = {
+            name: (values, unit),
+            f"standard deviation of {name}": (read_map(made, sd, step), unit),
+        }
+        drawn[name] = maps_figure(both, extent)
+    data = {folder / f"{name}.png": picture(figure, ".png") for name, figure in drawn.items()}
+    if outlines is not None and problem.base.power_law is not None:
+        opt.tell("no maps.exr: pictures support no power law of scattering")
+    elif outlines is not None:
+        data |= {folder / n: d for n, d in _for_renderers(made, flags, problem, outlines).items()}
+    io.write_together(data)
+
+
+def _for_renderers(
+    made: Path, flags: np.ndarray, problem: ij.Problem, outlines: tuple[Ellipse, Ellipse]
+) -> dict[str, bytes]:
+    """The maps between pupil and limbus as polar textures, and a scene of them."""
+    pupil, limbus = outlines
+    step = max(1, math.ceil(limbus.mean_radius / _RADIUS))
+    good = (flags[::step, ::step] & ~(PixelFlag.OFF_PRIOR | PixelFlag.MISFIT)) == 0
+    free = [n for n in problem.free if not n.startswith("noise")]
+    values = {n: np.asarray(v) for n, v in problem.fixed.items() if n != "noise"}
+    values |= {n: read_map(made, n, step).astype(float) for n in free}
+    iris = fitting.iris_of_pixels(values, problem.base, good)
+    across = limbus.mean_radius - pupil.mean_radius
+    shape = max(64, round(2 * math.pi * limbus.mean_radius / step)), max(16, round(across / step))
+    angle, radius = (np.asarray(x) for x in cell_centres(shape))
+    ends = [o.points(angle - o.angle)[:, None] for o in outlines]
+    column, row = np.moveaxis(ends[0] + (ends[1] - ends[0]) * radius[:, None], -1, 0) / step
+    near: Any = distance_transform_edt(~good, return_distances=False, return_indices=True)
+    texels = {
+        n: np.full(shape, v) if v.ndim == 0
+        else map_coordinates(v[tuple(near)], [row, column], order=1, mode="nearest")
+        for n, v in values.items()
+    }  # fmt: skip
+    maps = fitting.maps_of_pixels(texels, iris)
+    fields = "eumelanin", "pheomelanin", "abl_fraction", "oxyhemoglobin", "deoxyhemoglobin"
+    fields = *fields, "stroma_thickness", "abl_thickness", "scattering_scale"
+    ilit = isinstance(problem.process, Ilit)
+    share = pupil.mean_radius / limbus.mean_radius
+    sections = {
+        "iris": {name: float(getattr(iris, name)) for name in fields},
+        "maps": {"file": "maps.exr"},
+        "eye": {"pupil_radius": float(np.clip(share * 5.5, 0.25, 4.75))},
+        "environment": {"kind": "studio"},
+        "picture": {"integrator": "separable" if ilit else "radiative-transfer"},
+    }
+    text = f"# maps of a cube by irisjax map\n{toml_of(plain(sections, 6))}"
+    return {"maps.exr": encode_maps("maps.exr", maps), "scene.toml": text.encode()}
+
+
+def _medians(path: Path, problem: ij.Problem) -> dict[str, list[str]]:
+    """Columns of a table: for each map its median, its range over pixels, and its deviation."""
+    names = [n for n in problem.free if not n.startswith("noise")]
+    names = [*(["abl_melanin"] if _has_abl(names) else []), *names]
+    rows, columns = read_map(path, "flag").shape
+    step = max(1, max(rows, columns) // _SHOWN)
+    table: dict[str, list[str]] = {
+        n: [] for n in ("parameter", "unit", "median", "68 % of pixels", "sd")
+    }
+    for name in names:
+        low, middle, high = np.nanpercentile(read_map(path, name, step), (16, 50, 84))
+        sd = np.nanmedian(read_map(path, f"{name}_sd", step))
+        cells = name, unit_of(name), f"{middle:.3g}", f"{low:.3g} to {high:.3g}", f"{sd:.2g}"
+        for column, cell in zip(table.values(), cells, strict=True):
+            column.append(cell)
+    return table
+
+
+@contextlib.contextmanager
+def _new_folder(folder: Path) -> Iterator[None]:
+    """Make a folder, and remove it where the work fails."""
+    if folder.exists():
+        yield
+        return
+    with unfinished(folder):
+        folder.mkdir(parents=True)
+        try:
+            yield
+        except BaseException:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+            raise
+
+
+def _cores() -> int:
+    of_process = getattr(os, "sched_getaffinity", None)  # not on every system
+    return len(of_process(0)) if of_process else os.cpu_count() or 1

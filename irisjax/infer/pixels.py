@@ -1,0 +1,226 @@
+"""Least squares for every pixel of a hyperspectral cube, and the iris that its maps describe.
+
+A pixel is fitted by `fit` from one start: the nearest spectrum of a table, which contains draws of
+the priors, or fits of pixels spread over the cube. Pixels go through one program of a fixed size,
+so that each result depends on its own spectrum and the table alone. The steps of a search are few
+there; pixels that need more are gathered and go through it again.
+"""
+
+import enum
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+from jaxtyping import Bool, Float
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from irisjax.infer import parameters
+from irisjax.infer.fit import Fit, FitStatus, fit
+from irisjax.infer.least_squares import NORMAL_EQUATIONS
+from irisjax.infer.observation import with_values
+from irisjax.infer.parameters import kind
+from irisjax.infer.problem import Problem
+from irisjax.numerics.portions import by_rows
+from irisjax.tissue.iris import Iris
+from irisjax.tissue.maps import IrisMaps
+
+OFF_PRIOR = 4.0
+"""Standard deviations of its prior beyond which a parameter is flagged."""
+
+_ROWS, _BATCH = 64, 32  # pixels of a call, and of a search in step: more leave the core's cache
+_STEPS, _ROUNDS = 6, 25  # of a search, and how often a pixel's search goes on
+_TOLERANCE = 1e-3  # of z and of residuals, whose standard deviations are about one
+_DRAWS = 2**12  # of the priors
+
+Each = Callable[..., Any]
+"""A `map` that applies a function to calls, such as that of a pool of threads."""
+
+
+class PixelFlag(enum.IntFlag):
+    """What is said of a pixel; 0 is none of these. The first three have no fit."""
+
+    MASKED = 1
+    NOT_A_NUMBER = 2
+    SATURATED = 4
+    NOT_CONVERGED = 8
+    OFF_PRIOR = 16
+    MISFIT = 32
+
+
+class Starts(NamedTuple):
+    """Vectors z of the free parameters, and the spectra that they predict."""
+
+    z: Float[np.ndarray, "starts free"]
+    predicted: Float[np.ndarray, "starts data"]
+
+
+class PixelFits(NamedTuple):
+    """Fits of pixels.
+
+    Attributes:
+        z: The optimum in the priors' normal coordinates.
+        values: The fitted parameters in their units, `noise` left out.
+        covariance: Of the values, to first order, with the priors' part.
+        predicted: The spectrum at the optimum.
+        chi_square: Σ of squared residuals over their number.
+        flags: A sum of `PixelFlag`.
+        names: Of the fitted parameters.
+    """
+
+    z: Float[np.ndarray, "pixels free"]
+    values: Float[np.ndarray, "pixels fitted"]
+    covariance: Float[np.ndarray, "pixels fitted fitted"]
+    predicted: Float[np.ndarray, "pixels data"]
+    chi_square: Float[np.ndarray, " pixels"]
+    flags: Any
+    names: tuple[str, ...]
+
+    @property
+    def sd(self) -> Float[np.ndarray, "pixels fitted"]:
+        """Standard deviations of the values."""
+        return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
+
+    def abl_melanin(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return load times ABL fraction, µg/mm², and its standard deviation, to first order;
+        `None` unless both are fitted.
+        """
+        if not {"melanin_load", "abl_fraction"} <= set(self.names):
+            return None
+        i, k = (self.names.index(n) for n in ("melanin_load", "abl_fraction"))
+        load, fraction = self.values[:, i], self.values[:, k]
+        c = self.covariance
+        variance = (
+            fraction**2 * c[:, i, i] + load**2 * c[:, k, k] + 2 * load * fraction * c[:, i, k]
+        )
+        return load * fraction, np.sqrt(variance)
+
+
+def prior_starts(problem: Problem, each: Each = map) -> Starts:
+    """Return even draws of the priors, with `noise` at its median."""
+    draws = ndtri(qmc.Sobol(len(problem.free), scramble=False).random(_DRAWS) + 0.5 / _DRAWS)
+    z = np.where([kind(n) == "noise" for n in problem.free], 0.0, draws)
+    return Starts(z, by_rows(partial(_predicted, problem.unnamed()), z, _ROWS, each))
+
+
+def fit_pixels(
+    problem: Problem, values: Float[np.ndarray, "pixels data"], starts: Starts, each: Each = map
+) -> PixelFits:
+    """Fit many spectra of one instrument.
+
+    Args:
+        problem: A problem of one observation, whose values are not used.
+        values: The spectra.
+        starts: Where the searches may start.
+        each: How calls are mapped.
+    """
+    problem, dtype = problem.unnamed(), jnp.result_type(float)
+    values = np.asarray(values, dtype)
+    z = by_rows(lambda some: _nearest(problem, starts, some), values, _ROWS, each)
+    run = partial(_fitted, problem)
+    found = by_rows(run, (values, z), _ROWS, each)
+    for _ in range(_ROUNDS):
+        again = np.flatnonzero(found["again"])
+        if not again.size:
+            break
+        more = by_rows(run, (values[again], found["z"][again]), _ROWS, each)
+        for name, array in more.items():
+            found[name][again] = array
+    moving = [i for i, n in enumerate(problem.free) if kind(n) != "noise"]
+    slopes = found["slopes"][:, moving]
+    covariance = found["covariance"][:, moving][:, :, moving]
+    off = (np.abs(found["z"]) > OFF_PRIOR).any(axis=1)
+    flags = PixelFlag.NOT_CONVERGED * ~found["converged"] + PixelFlag.OFF_PRIOR * off
+    flags += PixelFlag.MISFIT * found["misfit"]
+    return PixelFits(
+        found["z"], found["values"][:, moving],
+        slopes[:, :, None] * covariance * slopes[:, None, :], found["predicted"],
+        found["chi_square"], flags.astype(np.uint8), tuple(problem.free[i] for i in moving),
+    )  # fmt: skip
+
+
+def predict_pixels(
+    problem: Problem, values: Mapping[str, Float[np.ndarray, " pixels"]], each: Each = map
+) -> Float[np.ndarray, "pixels data"]:
+    """Return the spectra of pixels with these values of the free parameters, without noise."""
+    pairs = zip(problem.free, problem.priors, strict=True)
+    z = np.stack([np.asarray(prior.standard(values[n])) for n, prior in pairs], axis=-1)
+    return by_rows(partial(_predicted, problem.unnamed()), z, _ROWS, each)
+
+
+def iris_of_pixels(
+    values: Mapping[str, Any], base: Iris, good: Bool[np.ndarray, "..."] | None = None
+) -> Iris:
+    """Return the iris of the medians of all parameters (see `parameters_of_pixels`), those of
+    `good` pixels only, and all else as in `base`.
+    """
+    good = np.ones(np.shape(values["melanin_load"]), bool) if good is None else good
+    medians = {n: float(np.median(np.broadcast_to(v, good.shape)[good])) for n, v in values.items()}
+    return parameters.iris_of(medians, base)
+
+
+def maps_of_pixels(values: Mapping[str, Float[np.ndarray, "angles radii"]], iris: Iris) -> IrisMaps:
+    """Return the maps for the renderers, relative to an `iris`, of all parameters at the texels.
+
+    Melanins, their depths and the thickness of the stroma are exact; blood and the strength of
+    scattering are the iris's own everywhere: the renderers have no maps of these.
+    """
+    load, fraction, share = (
+        values[n] for n in ("melanin_load", "abl_fraction", "pheomelanin_share")
+    )
+    depth = values["stroma_thickness"] / float(iris.stroma_thickness)
+    height = float(iris.abl_thickness + iris.stroma_thickness)
+    inside = float(iris.abl_fraction)
+    # A texel keeps the concentrations of each layer: a deeper layer has more pigment.
+    stroma = load * (1 - fraction) / (height * (1 - inside) * depth)
+    relative = fraction / np.maximum(load * (1 - fraction), 1e-12) * load
+    abl = relative * depth * (1 - inside) / inside * float(iris.abl_thickness)
+    return IrisMaps(
+        abl_depth=jnp.asarray(abl),
+        stroma_depth=jnp.asarray(values["stroma_thickness"]),
+        eumelanin=jnp.asarray(stroma * (1 - share) / float(iris.eumelanin)),
+        pheomelanin=jnp.asarray(stroma * share / float(iris.pheomelanin)),
+    )
+
+
+@eqx.filter_jit
+def _predicted(problem: Problem, z: Any) -> Any:
+    return jax.lax.map(lambda x: problem.predict(x)[0], z, batch_size=_BATCH)
+
+
+@eqx.filter_jit
+def _nearest(problem: Problem, starts: Starts, values: Any) -> Any:
+    """The start of each pixel: that of the lowest cost, its prior included."""
+    o = problem.observations[0]
+    sd = jax.vmap(lambda v: problem.noise.stated(with_values(o, v), v))(values)
+    weights, table = 1 / sd**2, jnp.asarray(starts.predicted, values.dtype)
+    z = jnp.asarray(starts.z, values.dtype)
+    cost = weights @ (table * table).T - 2 * (weights * values) @ table.T + (z * z).sum(1)
+    return z[jnp.argmin(cost, axis=1)]
+
+
+@eqx.filter_jit
+def _fitted(problem: Problem, rows: Any) -> dict[str, Any]:
+    o = problem.observations[0]
+    # In curved valleys it takes half as many steps as Levenberg and Marquardt's.
+    solver: Any = optx.Dogleg(_TOLERANCE, _TOLERANCE, linear_solver=NORMAL_EQUATIONS)
+
+    def one(row):
+        values, z = row
+        mine = problem.with_observations(with_values(o, values))
+        found: Fit = fit(mine, solver=solver, start=z, starts=1, max_steps=_STEPS)
+        _, slopes = jax.jvp(lambda z: problem.natural(z), (found.z,), (jnp.ones_like(z),))
+        again = found.status == FitStatus.not_converged
+        return {
+            "z": found.z, "values": problem.natural(found.z), "slopes": slopes,
+            "covariance": found.covariance, "predicted": found.predicted[0],
+            "chi_square": found.chi_square / max(values.size, 1), "again": again,
+            "converged": found.converged, "misfit": found.status == FitStatus.misfit,
+        }  # fmt: skip
+
+    return jax.lax.map(one, rows, batch_size=_BATCH)

@@ -1,0 +1,370 @@
+"""Hyperspectral cubes, read by rows, and maps of their pixels in NetCDF."""
+
+import contextlib
+import logging
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float
+
+from irisjax.infer.pixels import PixelFlag
+from irisjax.io.formats import read_spectral_table
+from irisjax.io.measured import WAVELENGTH_UNITS
+from irisjax.io.tables import naming
+
+_UNITS = {
+    "nm": ("nm", "nanometer", "nanometers", "nanometre", "nanometres"),
+    "um": ("um", "µm", "μm", "micrometer", "micrometers", "micrometre", "micrometres", "micron",
+           "microns"),
+}  # fmt: skip
+_BAND_AXES = ("wavelength", "wavelengths", "wl", "band", "bands", "lambda", "channel", "channels")
+_WIDTHS = ("fwhm", "bandwidth", "bandwidths")
+_SUFFIXES = ".hdr (ENVI), .nc (NetCDF), .zarr"
+_BRIGHTEST = 2.0  # median of stored values above which they are no reflectances
+_Block = Float[np.ndarray, "rows columns bands"]
+Rows = Callable[[int, int], np.ndarray]
+"""Returns something of the rows from the first up to the last."""
+
+
+@dataclass(frozen=True)
+class Cube:
+    """A cube in a file, of which `read` returns rows.
+
+    Attributes:
+        path: The file.
+        shape: Rows, columns and bands.
+        wavelengths: Centres of the bands, nm, increasing; `None` where the file has none.
+        fwhm: Full widths at half maximum, nm, or `None`.
+        ceiling: The largest number that the file's type of whole numbers can hold, as `read`
+            returns it; `None` for other types.
+        counts: Whether the values are whole numbers without a factor that makes them reflectances.
+        header: Texts of the header.
+        read: Returns the rows from the first up to the last, (rows, columns, bands), in the order
+            of `wavelengths`; NaN where the file says that there is no value.
+    """
+
+    path: Path
+    shape: tuple[int, int, int]
+    wavelengths: Float[np.ndarray, " bands"] | None
+    fwhm: Float[np.ndarray, " bands"] | None
+    ceiling: float | None
+    counts: bool
+    header: Mapping[str, str]
+    read: Rows
+
+
+def read_cube(
+    path: str | Path, *, variable: str | None = None, wavelength_unit: str | None = None
+) -> Cube:
+    """Open a hyperspectral cube: ENVI (`.hdr` beside its data), NetCDF or Zarr.
+
+    Args:
+        path: The header, file or folder.
+        variable: Name of the variable of a NetCDF or Zarr file that has several of three axes.
+        wavelength_unit: `"nm"` or `"um"`, where the file does not say.
+
+    Raises:
+        ValueError: Naming the file and what is wrong with it, such as data of another size than
+            the header says.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(2, "No such file or directory", str(path))
+    with naming(path):
+        header = path.suffix.lower() == ".hdr"
+        if not header and path.is_file():
+            beside = [path.with_suffix(".hdr"), path.with_name(path.name + ".hdr")]
+            path = next((p for p in beside if p.exists()), path)
+            header = path.suffix.lower() == ".hdr"
+        if header:
+            return _sorted(_envi(path, wavelength_unit))
+        if path.suffix.lower() in (".nc", ".nc4", ".cdf", ".h5", ".zarr"):
+            return _sorted(_xarray(path, variable, wavelength_unit))
+        raise ValueError(f"unknown kind of cube; known: {_SUFFIXES}")
+
+
+def read_reference(path: str | Path, cube: Cube, **how: str | None) -> Rows:
+    """Open a white or dark reference of a cube: a function of the first and last row that returns
+    what the standard gave, (1 or rows, 1 or columns, bands).
+
+    It is a cube of the same size; one of the same columns (a line camera's), or of one column,
+    whose mean over the rows is used; or a table of wavelengths and values, interpolated.
+    """
+    path = Path(path)
+    _, columns, bands = cube.shape
+    if path.suffix.lower() not in (".hdr", ".nc", ".nc4", ".cdf", ".h5", ".zarr"):
+        with naming(path):
+            if cube.wavelengths is None:
+                raise ValueError("a table of a reference needs a cube with wavelengths")
+            table = read_spectral_table(path)
+            grid, values = table.values[np.argsort(table.values[:, 0])].T[:2]
+            low, high = cube.wavelengths[[0, -1]]
+            if grid[0] > low or grid[-1] < high:
+                raise ValueError(
+                    f"has {grid[0]:g} to {grid[-1]:g} nm, the cube {low:g} to {high:g} nm"
+                )
+            found = np.interp(cube.wavelengths, grid, values)[None, None]
+        return lambda first, last: found
+    other = read_cube(path, **how)
+    with naming(path):
+        if other.shape[2] != bands or other.shape[1] not in (1, columns):
+            said = f"is {_by(other.shape)} (rows, columns, bands), the cube is {_by(cube.shape)}"
+            raise ValueError(f"{said}: need the same bands, and the same columns or one")
+        if other.shape == cube.shape:
+            return other.read
+        mean = np.mean([other.read(i, i + 1)[0] for i in range(other.shape[0])], axis=0)[None]
+        return lambda first, last: mean
+
+
+@dataclass(frozen=True)
+class Reflectances:
+    """Reflectances of a cube, and what is wrong with its pixels.
+
+    Attributes:
+        cube: The cube.
+        white, dark: References; without a white one the cube has reflectances.
+        white_reflectance: Reflectance of the white standard.
+        factor: Factor on all, such as 0.01 for per cent.
+        ceiling: Stored value from which a band is saturated, or `None`.
+        keep: Function of the first and last row that returns which pixels are used, or `None`.
+        brightness: Least and largest mean reflectance of the pixels that are used, or `None`.
+        bands: Places of the bands that are used; `None` for all.
+    """
+
+    cube: Cube
+    white: Rows | None = None
+    dark: Rows | None = None
+    white_reflectance: float = 1.0
+    factor: float = 1.0
+    ceiling: float | None = None
+    keep: Rows | None = None
+    brightness: tuple[float, float] | None = None
+    bands: np.ndarray | None = None
+
+    def read(self, first: int, last: int) -> tuple[_Block, np.ndarray]:
+        """Return reflectances of some rows, and flags (rows, columns), sums of `PixelFlag`."""
+        used = slice(None) if self.bands is None else self.bands
+        raw = self.cube.read(first, last)[..., used]
+        flags = np.zeros(raw.shape[:2], np.uint8)
+        if self.ceiling is not None:
+            flags[(raw >= self.ceiling).any(-1)] |= np.uint8(PixelFlag.SATURATED)
+        dark = 0.0 if self.dark is None else self.dark(first, last)[..., used]
+        values = self.factor * (raw - dark)
+        if self.white is not None:
+            span = self.white(first, last)[..., used] - dark
+            values = self.white_reflectance * values / np.where(span > 0, span, np.nan)
+        flags[~np.isfinite(values).all(-1)] |= np.uint8(PixelFlag.NOT_A_NUMBER)
+        if self.keep is not None:
+            flags[~self.keep(first, last)] |= np.uint8(PixelFlag.MASKED)
+        if self.brightness is not None:
+            low, high = self.brightness
+            mean = values.mean(-1)  # NaN is neither
+            flags[(mean < low) | (mean > high)] |= np.uint8(PixelFlag.MASKED)
+        return values, flags
+
+    def check(self, sample: Float[np.ndarray, "pixels bands"]) -> None:
+        """Raise `ValueError` where valid pixels (pixels, bands) of the cube are no reflectances."""
+        if self.white is not None:
+            return
+        to_do = "give --white (and --dark), or a factor in the header"
+        if self.cube.counts:
+            raise ValueError(f"{self.cube.path}: has counts, no reflectances: {to_do}")
+        if (median := float(np.median(sample))) > _BRIGHTEST:
+            raise ValueError(
+                f"{self.cube.path}: its median value is {median:.4g}, no reflectance: {to_do}; "
+                "of per cent, --unit percent"
+            )
+
+
+@contextlib.contextmanager
+def writing_maps(
+    path: str | Path,
+    shape: tuple[int, int],
+    variables: Mapping[str, tuple[tuple[str, ...], Any, Mapping[str, Any]]],
+    coordinates: Mapping[str, Any],
+    attributes: Mapping[str, str],
+) -> Iterator[Callable[[str, int, np.ndarray], None]]:
+    """Write maps to a NetCDF file by rows: the context gives a function of a map's name, the first
+    row and an array of rows.
+
+    Args:
+        path: The file.
+        shape: Rows and columns.
+        variables: For each map the names of its further axes, its type and its attributes.
+        coordinates: Values along these axes, and along `row` and `column`.
+        attributes: Of the file.
+    """
+    import h5netcdf
+    import h5py
+
+    along = {"row": np.arange(shape[0]), "column": np.arange(shape[1]), **coordinates}
+    with h5netcdf.File(path, "w") as file:
+        file.attrs.update({"created_with": "irisjax", **attributes})
+        for name, values in along.items():
+            file.dimensions[name] = len(values)
+            texts = isinstance(values[0], str)
+            kind = {"dtype": h5py.string_dtype()} if texts else {}
+            file.create_variable(
+                name, (name,), data=np.asarray(values, object if texts else None), **kind
+            )
+        for name, (more, dtype, said) in variables.items():
+            made = file.create_variable(name, ("row", "column", *more), dtype=dtype)
+            made.attrs.update(said)
+
+        def write(name: str, first: int, array: np.ndarray) -> None:
+            made: Any = file[name]
+            made[first : first + len(array)] = array
+
+        yield write
+
+
+def read_map(path: str | Path, name: str, step: int = 1) -> np.ndarray:
+    """Read a map of a file, every `step`th row and column of it."""
+    import h5netcdf
+
+    with h5netcdf.File(path, "r") as file:
+        return np.asarray(file[name][::step, ::step])
+
+
+def _envi(path: Path, unit: str | None) -> Cube:
+    from spectral.io import envi
+
+    logging.getLogger("spectral").setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            header = envi.read_envi_header(path)
+            image: Any = envi.open(path)
+        stored = np.dtype(image.dtype)
+        rows, columns, bands = image.nrows, image.ncols, image.nbands
+        factor = float(header.get("reflectance scale factor", 1.0))
+        ignored = header.get("data ignore value")
+        ignored = None if ignored is None else float(ignored)
+        grid, widths = (
+            None if k not in header else np.asarray(header[k], float)
+            for k in ("wavelength", "fwhm")
+        )
+        good = np.asarray(header.get("bbl", np.ones(bands)), float) > 0
+    except OSError:
+        raise
+    except Exception as error:  # the library raises errors of its own, KeyError and TypeError too
+        raise ValueError(f"no ENVI header that can be read ({_first_line(error)})") from None
+    size, offset = Path(image.filename).stat().st_size, int(image.offset)
+    need = offset + rows * columns * bands * stored.itemsize
+    if size != need:
+        said = f"{rows} lines of {columns} samples in {bands} bands of {stored.name}"
+        raise ValueError(f"describes {need} bytes ({said}), but {image.filename} has {size}")
+    _check_count(grid, (rows, columns, bands), "interleave, lines, samples and bands")
+    image.scale_factor = 1.0
+    use = np.flatnonzero(good) if good.shape == (bands,) else np.arange(bands)
+
+    def read(first: int, last: int) -> _Block:
+        found = image.read_subregion((first, last), (0, columns), use_memmap=False)[..., use]
+        values = found.astype(np.float64)
+        if ignored is not None:
+            values[found == ignored] = np.nan
+        return values / factor
+
+    if grid is not None:
+        grid = _in_nm(grid, unit or header.get("wavelength units"))
+        ratio = grid / np.asarray(header["wavelength"], float)
+        widths = None if widths is None or widths.shape != grid.shape else (widths * ratio)[use]
+        grid = grid[use]
+    whole = stored.kind in "iu"
+    ceiling = np.iinfo(stored).max / factor if whole else None
+    texts = {k: v for k, v in header.items() if isinstance(v, str)}
+    counts = whole and "reflectance scale factor" not in header
+    return Cube(path, (rows, columns, len(use)), grid, widths, ceiling, counts, texts, read)
+
+
+def _xarray(path: Path, variable: str | None, unit: str | None) -> Cube:
+    import xarray
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            how: dict[str, Any] = {"engine": "zarr"} if path.suffix.lower() == ".zarr" else {}
+            data = xarray.open_dataset(path, **how)
+    except (OSError, ModuleNotFoundError):
+        raise
+    except Exception as error:
+        raise ValueError(f"cannot be read ({_first_line(error)})") from None
+    cubes = [str(n) for n, v in data.data_vars.items() if v.ndim == 3]
+    if variable is not None and variable not in cubes:
+        raise ValueError(f"has no variable {variable!r} of three axes; it has {', '.join(cubes)}")
+    if variable is None and len(cubes) != 1:
+        said = f"{len(cubes)} variables of three axes ({', '.join(cubes)}); name one by --variable"
+        raise ValueError(said if cubes else "has no variable of three axes")
+    found = data[variable or cubes[0]]
+    axes = [d for d in found.dims if str(d).lower() in _BAND_AXES]
+    if len(axes) != 1:
+        names = ", ".join(map(str, found.dims))
+        raise ValueError(
+            f"which axis are the bands? {names}; one must be called wavelength or band"
+        )
+    found = found.transpose(*(d for d in found.dims if d != axes[0]), axes[0])
+    aside = {str(n).lower(): v for n, v in data.variables.items() if v.dims == (axes[0],)}
+    grid = next((v for n, v in aside.items() if n in _BAND_AXES[:3]), None)
+    widths = next((np.asarray(v, float) for n, v in aside.items() if n in _WIDTHS), None)
+    if grid is not None:
+        stated = np.asarray(grid, float)
+        nm = _in_nm(stated, unit or grid.attrs.get("units"))
+        widths, grid = None if widths is None else widths * nm / stated, nm
+    stored = np.dtype(found.encoding.get("dtype", found.dtype))
+    scale = found.encoding.get("scale_factor")
+    whole = stored.kind in "iu"
+    ceiling = None
+    if whole:
+        ceiling = np.iinfo(stored).max * (scale or 1.0) + found.encoding.get("add_offset", 0.0)
+    texts = {str(k): str(v) for k, v in data.attrs.items()}
+
+    def read(first: int, last: int) -> _Block:
+        return np.asarray(found[first:last].values, np.float64)
+
+    shape: Any = found.shape
+    return Cube(path, shape, grid, widths, ceiling, whole and scale is None, texts, read)
+
+
+def _sorted(cube: Cube) -> Cube:
+    """The cube with its bands in the order of their wavelengths."""
+    grid = cube.wavelengths
+    if min(cube.shape) < 1:
+        raise ValueError(f"is {_by(cube.shape)}, empty")
+    if grid is None or (np.diff(grid) > 0).all():
+        return cube
+    order = np.argsort(grid, kind="stable")
+    widths = None if cube.fwhm is None else cube.fwhm[order]
+    said = {"wavelengths": grid[order], "fwhm": widths}
+    return Cube(**{**vars(cube), **said, "read": lambda *rows: cube.read(*rows)[..., order]})
+
+
+def _check_count(grid: np.ndarray | None, shape: tuple[int, int, int], where: str) -> None:
+    if grid is None or grid.size == shape[2]:
+        return
+    said = f"has {grid.size} wavelengths for {shape[2]} bands"
+    swapped = [
+        n for n, count in zip(("lines", "samples"), shape, strict=False) if count == grid.size
+    ]
+    hint = f"; there are as many {swapped[0]}: is the cube transposed? Check {where}"
+    raise ValueError(said + (hint if swapped else ""))
+
+
+def _in_nm(grid: np.ndarray, unit: object) -> np.ndarray:
+    """Wavelengths in nm; without a unit those below 100 are µm."""
+    text = str(unit or "").strip().lower()
+    known = next((name for name, words in _UNITS.items() if text in words), None)
+    if known is None:
+        known = "um" if np.median(grid) < 100 else "nm"
+    return WAVELENGTH_UNITS[known](grid)
+
+
+def _by(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape))
+
+
+def _first_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:160] or type(error).__name__
