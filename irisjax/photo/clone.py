@@ -76,6 +76,7 @@ _BLUR_STEPS, _BLUR_TOLERANCE = 7, 0.1  # number of first trials; tolerance of th
 
 DOUBTS = ("outlines", "light", "model")
 """What a doubt may be about: where the eye is, how it is lit, what the model makes of its iris."""
+_BLUR_OF_PIXELS = 3.0  # width of a smoothstep that is as wide as a Gaussian of 0.67 pixels
 _OUTSIDE_SHARE = 0.05  # of an iris with colours that the model cannot make, above which it is said
 _DISTANCES = Range(80, 2000, "mm")  # of cameras that photograph an iris, macro to long lenses
 _PICTURES_OFF = 0.05  # RMS difference of the encoded pictures above which a clone is doubtful [F09]
@@ -562,9 +563,9 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
     assert seen is not None
     x, y = map(np.asarray, seen.point[:2])
     radius = onto_picture(seen, np.hypot(x, y), shape)
-    clear = fitted.clear & iris_alone(fitted.pose)
+    shown = fitted.clear & iris_alone(fitted.pose)
     ring = onto_picture(seen, ring_radius(eye, x, y), shape)
-    clear &= ring > float(eye.pupil_radius + eye.pupil_margin)
+    clear = shown & (ring > float(eye.pupil_radius + eye.pupil_margin))
     target = fitted.unveiled() / fitted.exposure
     if fitted.veil is None:
         dark = scene.replace(iris=fitted.base, maps=None)
@@ -574,8 +575,8 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
     usual = np.log(generic_thickness(radius) / float(fitted.base.stroma_thickness))
     flat = partial(unrefract, pose=fitted.pose, where=fitted.refraction)
     known = fitted.view, fitted.tables, fitted.exposure, pigments.doubt_of_exposures(fitted.fit)
-    found = texels.colour_iris(target, clear, usual, scene, *known, flat)
-    exposure = fitted.exposure * found.gain
+    found = texels.colour_iris(target, clear, shown, usual, scene, *known, flat)
+    exposure = fitted.exposure * found.gain ** fitted.fit.values["contrast"]
     return Coloured(**vars(dataclasses.replace(fitted, exposure=exposure)), texels=found)
 
 
@@ -701,11 +702,16 @@ def width_by_rendering(with_width: Callable[[float], Fitted]) -> float:
 
 
 def _with_soft_edges(pose: Pose, outlines: Boundaries) -> Eye:
-    """The eye with edges as soft as the outlines, at least a pixel wide: it samples one point."""
+    """The eye with edges as soft as the outlines and the photograph's own blur: it samples one
+    point.
+    """
     eye, pixel = pose.eye, float(pose.camera.width) / pose.camera.size[0]
     pupil, limbus = float(eye.pupil_radius), float(eye.limbus_radius)
     if outlines.pupil_margin is not None:
-        eye = eye.replace(pupil_margin=max(outlines.pupil_margin * pupil, pixel))
+        margin = outlines.pupil_margin * pupil
+        # Blur lets the rise begin earlier: its middle stays.
+        soft = float(np.hypot(margin, _BLUR_OF_PIXELS * pixel))
+        eye = eye.replace(pupil_margin=soft, pupil_radius=pupil - (soft - margin) / 2)
     if outlines.limbus_width is not None:
         eye = eye.replace(limbus_width=max(outlines.limbus_width * limbus, pixel))
     return eye

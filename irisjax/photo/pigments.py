@@ -63,6 +63,7 @@ PIGMENT_UNITS = {name: "mg/ml" if name in CONCENTRATIONS else "" for name in FRE
 # brightness: simulated photographs stay below 0.16, with lids and lashes or without.
 _WINDOWS_OFF = 0.25
 _UNUSUAL = 3.0  # standard deviations of its prior beyond which a parameter is doubtful
+_BALANCE = 0.3  # most of the logarithm of a channel's exposure beside that of the others
 _STEPS = 60, 50  # most of a turn of least squares, and of a stage of the simplex
 _TURNS = 3  # of least squares under fixed covariances, and of these
 _CLOSE = 1e-3  # tolerance of the search, in standard deviations of the prior
@@ -440,10 +441,17 @@ def _numbers(row: dict[str, Any]) -> dict[str, float]:
 
 @eqx.filter_jit
 def _compared(z, windows, base):
-    """Relative differences per channel, and the exposures that make up for their means."""
+    """Relative differences per channel, and the exposures that make up for their means: within
+    `_BALANCE` of their mean by brightness, for a channel that is dark in a saturated iris says
+    nothing of its exposure.
+    """
     values, present = parameter_values(z), windows.present[:, None]
     off, _ = _off(values, windows, base)
-    exposures = _exposures(values) * jnp.exp(off.mean(0, where=present))
+    bright = jnp.maximum(windows.colour.mean(0, where=present), 0.0)
+    factors = off.mean(0, where=present)
+    common = (factors * bright).sum() / bright.sum()
+    factors = jnp.clip(factors, common - _BALANCE, common + _BALANCE)
+    exposures = _exposures(values) * jnp.exp(factors)
     return jnp.sqrt((off**2).mean(0, where=present)), exposures
 
 

@@ -54,6 +54,7 @@ GAINS = (1.0, 2.0, 0.5, 4.0, 8.0)
 _PRIOR = 1.5  # standard deviation of the logarithms about the fitted iris, at the coarsest level
 _FINER = 0.5  # of those between a level and the next coarser one
 _STEPS = 12, 5, 4, 4  # of Levenberg and Marquardt at each level, from the coarsest
+_POLISH = 3  # with the table of the picture
 _NOISE = 0.006  # least standard deviation of an encoded channel: rounding, JPEG, the model
 _POWER, _DARK = 1 / 2.4, 1e-3  # of the encoding in which errors are alike, and its straight part
 _LONGEST, _DAMPING = 1.5, 1e-3  # longest step of a logarithm; damping of the first one
@@ -118,12 +119,14 @@ class TexelResponse(NamedTuple):
         ranges: Of the three numbers.
         degrees: Degrees of the polynomials.
         error: Largest error, relative to the brightest texel.
+        made: The response that pictures are drawn with.
     """
 
     coefficients: Float[Array, "products functions channels"]
     ranges: Scales
     degrees: tuple[int, ...]
     error: float
+    made: Any
 
     def spans(self) -> Float[Array, "3 2"]:
         """Smallest and largest value of each number."""
@@ -149,6 +152,7 @@ class Local(NamedTuple):
 def colour_iris(
     target: Colours,
     known: Mask,
+    shown: Mask,
     usual: Brightness,
     scene: Scene,
     view: View,
@@ -161,7 +165,8 @@ def colour_iris(
 
     Args:
         target: Radiance of the iris in the photograph, under the fitted exposure.
-        known: Pixels that show the iris and nothing else.
+        known: Pixels that show the iris and nothing else, whose numbers are sought.
+        shown: Pixels whose residual is kept: these, and the rim that fades into the pupil.
         usual: Logarithm of the stroma's usual thickness there over that of the scene's iris.
         scene: The scene of the global fit; its maps give the relief alone.
         view: What its camera sees.
@@ -185,12 +190,12 @@ def colour_iris(
     small = jnp.ones((2, 2), jnp.float32)
     alike = ranges_of(iris, IrisMaps(stroma_depth=small, eumelanin=small, pheomelanin=small))
 
-    def respond(ranges: Scales) -> TexelResponse:
+    def respond(ranges: Scales, scene: Scene = scene) -> TexelResponse:
         ranges = jax.tree.map(lambda r, of: jnp.asarray(r, of.dtype), ranges, alike)
-        found: Any = picture.respond(scene, ranges)
-        terms = found.coefficients
+        made: Any = picture.respond(scene, ranges)
+        terms = made.coefficients
         terms = terms if mixtures is None else jnp.einsum("pkc,kr->prc", terms, mixtures)
-        return TexelResponse(terms, ranges, found.degrees, float(found.error))
+        return TexelResponse(terms, ranges, made.degrees, float(made.error), made)
 
     functions = onto_picture(seen, flat, shape)
     logs = np.stack([usual, 0 * usual, 0 * usual], -1)
@@ -201,11 +206,12 @@ def colour_iris(
     gain, coarse = find_gain(levels[-1], respond(FACTORS), exposure)
     response = respond(ranges_about(coarse, levels[-1].known))
     found = solve_levels(levels, response, exposure, gain, doubt)
+    middle = np.median(found.logs[known], axis=0)
+    iris = moved_iris(iris, np.exp(middle))
 
-    off, wanted = found.off[known], (np.maximum(target * exposure, 0) + _DARK)[known] ** _POWER
-    explained = 1 - (off**2).sum() / ((wanted - wanted.mean(0)) ** 2).sum()
     # Cells about as fine as the photograph's pixels, of few sizes, so that programs are shared.
-    laid = lay_flat(found.logs, known)
+    everywhere = np.ones_like(shown)
+    laid = lay_flat(shown[..., None].astype(np.float32), everywhere)
     per_mm = scene.camera.size[0] / float(scene.camera.width)
     sides = 2 * np.pi * laid.iris_radius, laid.iris_radius - laid.pupil_radius
     angles, radii = (
@@ -214,39 +220,45 @@ def colour_iris(
     )
     cells = angles, radii
 
-    def polar(values: Float[np.ndarray, "rows columns channels"]) -> np.ndarray:
-        laid = lay_flat(values, known)
+    def polar(values: Float[np.ndarray, "rows columns channels"], of: Mask) -> np.ndarray:
+        laid = lay_flat(fill_holes(values, ~of), everywhere)
         filled = fill_holes(laid.pixels, ~laid.valid)
         return np.stack([laid.to_polar(c, cells) for c in np.moveaxis(filled, -1, 0)])
 
-    hidden = laid.to_polar(laid.valid.astype(np.float32), cells) < 0.5
-    logs = polar(found.logs)
-    middle = np.median(found.logs[known], axis=0)
-    iris = _moved(iris, np.exp(middle))
+    hidden = laid.to_polar(laid.pixels[..., 0], cells) < 0.5
 
     def maps_of(logs: np.ndarray, residual: np.ndarray | None = None) -> IrisMaps:
-        stroma, *melanins = map(jnp.asarray, np.exp(logs - middle[:, None, None]))
+        stroma, *melanins = map(jnp.asarray, np.exp(logs))
         held: dict[str, Any] = dict(zip(NAMES[1:], melanins, strict=True))
         if residual is not None:
             held["residual"] = jnp.asarray(np.exp(np.moveaxis(residual, 0, -1)))
         return IrisMaps(relief=relief, stroma_depth=stroma * iris.stroma_thickness, **held)
 
+    # Last of all with the very table of the picture: its errors count where the iris is dark.
+    logs = polar(found.logs - middle, known)
+    ends = [f(logs, axis=(1, 2), keepdims=True) for f in (np.min, np.max)]
+    ranges = ranges_of(iris, maps_of(logs))
+    response = respond(ranges, scene.replace(iris=iris))
+    found = polish(levels[0], found.logs - middle, response, exposure, gain, doubt)
+    logs = np.clip(polar(found.logs, known), *ends)
+    off, wanted = found.off[known], (np.maximum(target * exposure, 0) + _DARK)[known] ** _POWER
+    explained = 1 - (off**2).sum() / ((wanted - wanted.mean(0)) ** 2).sum()
+
     # What the maps themselves leave, after all interpolation.
-    made = scene.replace(iris=iris, maps=maps_of(logs))
-    texels = picture.texture(view, made)
-    lit = picture.LitView(jnp.zeros((3, known.size)), shone)
-    drawn = np.asarray(picture.shade(view, texels, lit, picture.respond(made)))
-    ratio = np.where(known[..., None], target / gain / np.maximum(drawn, 1e-9), 1.0)
-    residual = polar(np.log(np.clip(ratio, KEPT.low, KEPT.high)))
+    parts = integrator.texels(seen, front._replace(iris=iris, maps=maps_of(logs)), ranges)
+    drawn = picture.within_gamut(response.made.shade(seen, parts, shone))
+    drawn = np.maximum(onto_picture(seen, np.asarray(drawn).T, shape), 1e-9)
+    ratio = np.where(shown[..., None], target / gain / drawn, 1.0)
+    residual = polar(np.log(np.clip(ratio, KEPT.low, KEPT.high)), shown)
     both = fill_by_texture(np.concatenate([logs, residual]), hidden)
-    maps = maps_of(both[: len(NAMES)], both[len(NAMES) :])
+    maps = maps_of(np.clip(both[: len(NAMES)], *ends), both[len(NAMES) :])
     variances = np.einsum("...ii->...i", found.covariance)
     sizes = np.sqrt(np.maximum(variances, 1e-12))
     correlation = found.covariance / (sizes[..., None] * sizes[..., None, :])
     return OwnPigments(
         iris,
         maps,
-        polar(sizes),
+        polar(sizes, known),
         np.sqrt(np.median(found.common[known], axis=0)),
         np.median(correlation[known], axis=0),
         hidden,
@@ -257,7 +269,7 @@ def colour_iris(
     )
 
 
-def _moved(iris: Iris, factors: Float[np.ndarray, "3"]) -> Iris:
+def moved_iris(iris: Iris, factors: Float[np.ndarray, "3"]) -> Iris:
     """The iris with factors `NAMES` on it, its stroma as thick as before: what scatters and absorbs
     there is denser instead.
     """
@@ -267,7 +279,9 @@ def _moved(iris: Iris, factors: Float[np.ndarray, "3"]) -> Iris:
         values[name] *= eumelanin if name.endswith("eumelanin") and "pheo" not in name else 1
         values[name] *= pheomelanin if name.endswith("pheomelanin") else 1
         values[name] *= stroma if name.startswith("stroma") else 1
-    return iris_of_concentrations({**values, "scattering_scale": stroma}, iris)
+    others = "oxyhemoglobin", "deoxyhemoglobin", "lutein", "zeaxanthin"
+    denser = iris.replace(**{name: getattr(iris, name) * stroma for name in others})
+    return iris_of_concentrations({**values, "scattering_scale": stroma}, denser)
 
 
 def find_gain(
@@ -311,6 +325,18 @@ def solve_levels(
     for level, steps in zip(reversed(levels[:-1]), _STEPS[1:], strict=True):
         found = _level(level, found.logs, response, exposure, gain, steps, doubt=doubt)
     return found
+
+
+def polish(
+    level: Seen,
+    logs: np.ndarray,
+    response: TexelResponse,
+    exposure: Float[np.ndarray, "3"],
+    gain: float,
+    doubt: Float[np.ndarray, "3 3"],
+) -> Local:
+    """Solve the finest level once more, by another table, from numbers that are close."""
+    return _level(level, logs, response, exposure, gain, _POLISH, doubt=doubt)
 
 
 def ranges_about(found: Local, known: Mask) -> Scales:

@@ -18,7 +18,7 @@ INTEGRATORS: dict[str, Kind] = {
 """`Separable` (ILIT, all orders of scattering), `SingleScattering` (F09) and `RadiativeIntegrator`
 (radiative transfer, all orders).
 """
-_FINER = 8, 8, 6, 6  # degrees in ABL pigment, stroma thickness, eumelanin and pheomelanin
+_FINER = 8, 10, 8, 8  # degrees in ABL pigment, stroma thickness, eumelanin and pheomelanin
 
 
 def integrator_name(integrator: AbstractIntegrator) -> str:

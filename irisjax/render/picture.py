@@ -28,6 +28,7 @@ from irisjax.tissue.maps import Scales
 
 # Bytes for the pixels of a band; the programs and tables beside them take three times that.
 _MEMORY = 1 << 28
+_LEAST = 0.01  # of the brightest channel
 _PIXEL, _CHANNEL = 1200, 24  # bytes for each of a band's, measured
 _Spectrum = tuple[str, str, tuple[float, ...] | None]
 
@@ -181,9 +182,17 @@ def shade(
     iris = []
     if view.iris is not None:
         radiance = response.shade(view.iris, texels.iris, light.iris)
-        radiance = radiance if texels.residual is None else radiance * texels.residual
+        if texels.residual is not None:
+            radiance = within_gamut(radiance) * texels.residual
         iris = [(view.iris.index, radiance)]
     return _added(light.surroundings, iris, view.size)
+
+
+def within_gamut(radiance: Float[Array, "channels pixels"]) -> Float[Array, "channels pixels"]:
+    """Return radiance with at least 1 % of the brightest channel in each: a saturated colour may
+    lie outside sRGB's gamut, where no factor would move a negative channel.
+    """
+    return jnp.maximum(radiance, _LEAST * radiance.max(0))
 
 
 def draw_bands(

@@ -63,6 +63,17 @@ def test_a_frontal_eye_mirrors_no_face(first, posed):
     assert not find_mirrored_face(posed.part, outside, limbus, posed.view.mirror).any()
 
 
+def test_a_pupil_fades_about_its_outline_as_wide_as_the_photograph_is_blurred(posed):
+    """From the outline on, a pixel of the iris was too dark all the way round."""
+    pose, pixel = posed.pose, float(posed.pose.camera.width) / posed.pose.camera.size[0]
+    for margin in (0.0, 0.2):
+        eye = cloning._with_soft_edges(pose, posed.boundaries._replace(pupil_margin=margin))
+        outline = float(pose.eye.pupil_radius)
+        wide, middle = float(eye.pupil_margin), float(eye.pupil_radius + eye.pupil_margin / 2)
+        assert wide == pytest.approx(np.hypot(margin * outline, 3 * pixel), rel=1e-5)
+        assert middle == pytest.approx(outline * (1 + margin / 2), rel=1e-5)
+
+
 def test_thickness_of_a_photographed_iris_comes_back(alone):
     """The paper's method is better than the generic iris, and the model's than the paper's."""
     truth, shaped = true_thickness("blue", alone.texture), shape_iris(alone, SETTINGS)

@@ -129,6 +129,10 @@ def test_exposures_take_up_what_other_maps_change(windows, fit):
     own = values["exposure"] * np.array([values["red_gain"], 1, values["blue_gain"]])
     # The fit's windows are as bright as it says, but for what the prior pulls.
     np.testing.assert_allclose(first, own, rtol=0.05)
+    # A channel that is black is not exposed a hundred times as long.
+    black = dataclasses.replace(windows, colour=windows.colour * np.array([1.0, 1.0, 1e-3]))
+    changed = exposures_for(fit, black, BASE) / first
+    assert changed[:2] == pytest.approx(1, rel=0.5) and changed[2] / changed[1] > 0.5
 
 
 @pytest.fixture(scope="module")
