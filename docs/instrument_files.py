@@ -82,6 +82,19 @@ JCAMP = """##TITLE=eye, left
 ##YFACTOR=1.0
 ##XYPOINTS=(XY..XY)
 """
+IAD = """IAD1  # Must be first four characters
+1.336 # Index of refraction of the sample
+1.0   # Index of refraction of the top and bottom slides
+0.4   # [mm] Thickness of sample
+0.0   # [mm] Thickness of slides
+3.0   # [mm] Diameter of illumination beam
+0.98  # Reflectivity of the calibration standard
+1     # Number of spheres used during each measurement
+50.8 8.0 6.0 1.0 0.98 # Sphere, its ports [mm], reflectivity of its wall
+50.8 8.0 6.0 1.0 0.98 # The same of the sphere for transmission
+1     # One measurement, M_R
+#lambda M_R
+"""
 
 
 def magic(*kinds):
@@ -113,6 +126,7 @@ FILES = {
     "eye.jdx": JCAMP.format(unit="REFLECTANCE") + rows(", ", X, R) + "\n##END=",
     "absorbance.jdx": JCAMP.format(unit="ABSORBANCE") + rows(", ", X, -np.log10(R)) + "\n##END=",
     "kubelka_munk.csv": "nm,K/S\n" + rows(",", X, (1 - R) ** 2 / (2 * R)),
+    "iad.rxt": IAD + rows(" ", X, R),
     "whole_range.csv": "nm,R %\n" + rows(",", WIDE_X, 100 * WIDE_R),
     "gaps.csv": "nm,R %\n"
     + rows(",", X, 100 * R).replace("\n410,", "\n410,#").replace("\n430,", "\n430,NaN#"),

@@ -10,6 +10,7 @@ from irisjax.cli.files import check_folder
 from irisjax.cli.fit_options import EPILOG as EPILOG
 from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler
 from irisjax.cli.options import dashed, grouped, tell
+from irisjax.io.tables import naming
 from irisjax.plot.beside import beside, here
 from irisjax.transport.process import DEPTH_RESOLVED, option_of
 
@@ -56,6 +57,9 @@ def fit_command(
         table = io.read_measured(path, **measured.reading._asdict())
         for said in (*table.notes, *(f"WARNING: {doubt}" for doubt in table.doubts)):
             tell(f"{path}: {said}")
+        if measured.bands is not None:
+            with naming(f"{measured.bands}, bands for {path}"):
+                seen["bands"].matched(table.wavelengths)
         observations.append(ij.spectrum(table, name=path.name, **seen))
         headers.append(table.header)
     options = {"noise": measured.noise, **model.stated(headers)}

@@ -42,6 +42,8 @@ _FORMS = {
     r"z[äa]hler|cuentas",
     _MEAN: rf"{_BEFORE}(mean|average|avg|mittel(wert)?|moyenne|media|promedio|平均){_AFTER}",
 }
+SPECTRAL_ROLES = (*QUANTITIES, "irradiance", "counts", "dark signal", _SD)
+"""Roles of columns of a spectrum, which no sensitivity has."""
 _REFUSALS = {
     RADIANCE: "a radiance; give --quantity radiance",
     _TRANSMITTANCE: "a transmittance; where it is the light sent back, give --quantity reflectance",
@@ -170,7 +172,7 @@ def _owner(j: int, spectra: list[int], table: Columns) -> int | None:
     named = [k for k in spectra if rest and _plain(table.names[k]) == rest]
     if len(named) == 1:
         return named[0]
-    usable = [k for k in spectra if _role_of(table.names[k]) in _WITHOUT_ASKING]
+    usable = [k for k in spectra if role_of(table.names[k]) in _WITHOUT_ASKING]
     if len(usable) == 1:
         return usable[0]
     return j - 1 if j - 1 in spectra and not rest else None
@@ -236,9 +238,9 @@ def _plain(name: str) -> str:
 
 def _roles_of(table: Columns) -> dict[int, str]:
     """Roles of all columns but the wavelength's."""
-    return {j: _role_of(name) for j, name in enumerate(table.names) if j}
+    return {j: role_of(name) for j, name in enumerate(table.names) if j}
 
 
-def _role_of(header: str) -> str:
+def role_of(header: str) -> str:
     """The role that a column's header gives it, or an empty text."""
     return next((role for role, form in _FORMS.items() if re.search(form, header, re.I)), "")

@@ -6,6 +6,7 @@ import contextlib
 import io
 import re
 import zipfile
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -41,10 +42,13 @@ BOXCAR = "boxcar"
 """Key under which a header has the number of pixels on each side of a moving average."""
 _BOXCAR = re.compile(r"^\W*boxcar(?: width| smoothing)?\W*[:=\t ]\s*(\d+)\s*$", re.I | re.M)
 _SVC = ("wavelength (nm)", "radiance of the reference", "radiance", "reflectance (%)")
+# Inverse adding-doubling: the columns that a number of them stands for, and those that are read.
+_IAD_ORDER, _IAD_PARAMETERS = "rtuwWRT", 17
+_IAD = {"L": "wavelength (nm)", "r": "M_R", "t": "M_T", "u": "M_U (unscattered transmittance)"}
 
 
 def read_spectral_table(path: str | Path) -> Columns:
-    """Read the table of an instrument's file: text, Excel, JCAMP-DX, CGATS or SVC.
+    """Read the table of an instrument's file: text, Excel, JCAMP-DX, CGATS, SVC or IAD.
 
     Where the columns or blocks of a file have wavelengths of their own, the table has all of them
     and NaN where a column has no value.
@@ -63,6 +67,8 @@ def read_spectral_table(path: str | Path) -> Columns:
         return _jcamp(text)
     if re.match(r"/\*+ Spectra Vista", text):
         return _with_wavelengths_first(_svc(text))
+    if text.startswith("IAD1"):
+        return _iad(text)
     if re.search(r"^BEGIN_DATA_FORMAT", text, re.M):
         text = _cgats(text)
     table = read_columns(text)
@@ -140,6 +146,60 @@ def _svc(text: str) -> Columns:
     if len(table.names) != len(_SVC):
         raise ValueError(f"{len(table.names)} columns below data=; an SVC file has four")
     return table._replace(names=list(_SVC))
+
+
+def _iad(text: str) -> Columns:
+    """Input of S. Prahl's inverse adding-doubling: parameters of sample and spheres, the number or
+    the letters of the columns, and the rows. Notes say what the parameters mean for M_R.
+    """
+    lines = [line.partition("#")[0].replace(",", " ").strip() for line in text[4:].splitlines()]
+    found: list[str] = []
+    at = 0
+    while at < len(lines) and not (lines[at] and len(found) >= _IAD_PARAMETERS):
+        found += lines[at].split()
+        at += 1
+    try:
+        header = [float(word) for word in found]
+    except ValueError as error:
+        raise ValueError(f"IAD: {error} among the parameters of sample and spheres") from None
+    if at == len(lines) or len(header) != _IAD_PARAMETERS:
+        number = f"{len(header)} numbers of {_IAD_PARAMETERS}"
+        raise ValueError(f"IAD: {number} above the line that says what the columns hold")
+    stated = re.sub(r"[\s-]", "", lines[at])
+    letters = f"L{_IAD_ORDER[: int(stated)]}" if stated.isdigit() else stated
+    if "L" not in letters or not {"r", "t"} & set(letters):
+        raise ValueError(f"IAD: columns {stated!r}, need wavelengths (L) and a reflectance (r)")
+    rows = ["\t".join(line.split()) for line in lines[at + 1 :]]
+    table = read_columns("\n".join(["\n" * at + "\t".join(letters), *rows]))
+    if len(table.names) != len(letters):
+        said = f"{len(letters)} stated, the wavelength among them"
+        raise ValueError(f"{table.where[0]}: {len(table.names)} columns, {said}")
+    kept = [letters.index(c) for c in _IAD if c in letters]
+    notes = _iad_notes(header, {c: table.values[:, j] for j, c in enumerate(letters)})
+    names, header = [_IAD[letters[j]] for j in kept], {"unit": "fraction"}
+    return Columns(table.values[:, kept], names, table.where, header, (*table.notes, *notes))
+
+
+def _iad_notes(header: list[float], columns: dict[str, np.ndarray]) -> Iterator[str]:
+    """What sample and spheres mean for M_R  [Prahl, van Gemert & Welch 1993]."""
+    index, slide, spheres = header[1], header[3], header[6]
+    if slide > 0 and index > 1:
+        yield f"behind a slide ({slide:g} mm, index {index:g}), whose reflections are not modelled"
+    if "c" in columns and not columns["c"].any():
+        yield "M_R is without the unscattered reflection: give --no-first-surface"
+    if spheres and "r" in columns:
+        # Light in a baffled sphere grows by 1/(1 - its mean reflectance).
+        (sphere, *ports), medians = header[7:11], {c: np.median(columns[c]) for c in columns}
+        sample, third, detector = (np.square(port / (2 * sphere)) for port in ports)
+        wall = medians.get("w", header[11])
+        white, seen = (
+            1 - wall * (1 - sample - third - detector + (1 - third) * sample * r)
+            for r in (medians.get("R", header[5]), medians["r"])
+        )
+        yield (
+            f"a sphere with a single beam dims M_R to {white / seen:.3f} of the reflectance (the "
+            f"standard brightens it more): --fix gain={white / seen:.3f}; not with two beams"
+        )
 
 
 def _cgats(text: str) -> str:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from irisjax.io.columns import SPECTRAL_ROLES, role_of
 from irisjax.io.formats import read_spectral_table
 from irisjax.io.tables import naming
 from irisjax.io.text import read_columns, read_text
@@ -13,6 +14,7 @@ from irisjax.tissue.pigments import common_range
 
 _CENTRE = re.compile(r"cent(re|er)|peak|middle|mitte", re.I)
 _WIDTH = re.compile(r"fwhm|width|breite|largeur|hbw", re.I)
+_WANTED = "need rows of centre and fwhm, nm, or a column with the sensitivity of each band"
 _MOST_OUTSIDE = 0.02  # share of a band's light that the pigment tables do not cover
 
 
@@ -41,6 +43,13 @@ def read_passbands(path: str | Path, illuminant: str | None = None) -> Passbands
                 raise ValueError("centres and widths take no illuminant; give sensitivities")
             order = np.argsort(centre)
             return Passbands.slit(centre[order], width[order])
+        if any(named) and len(table.names) == 2:
+            known = ("centres", "widths") if named[0] else ("widths", "centres")
+            raise ValueError(f"the file has {known[0]} of bands and no {known[1]}; {_WANTED}")
+        roles = [role_of(name) for name in table.names[1:]]
+        if roles and all(role in SPECTRAL_ROLES for role in roles):
+            what = f"column {table.names[1]!r} ({roles[0]}) is of a spectrum, not of bands"
+            raise ValueError(f"{what}; {_WANTED}")
         grid, each = table.values[:, 0], table.values[:, 1:]
         order = np.argsort(grid)
         grid, each = grid[order], each[order]

@@ -142,7 +142,9 @@ class Passbands(eqx.Module):
         """
         data, centres = np.asarray(wavelengths, float), np.asarray(self.centres)
         if data.shape != centres.shape:
-            raise ValueError(f"{data.size} values for {centres.size} bands; need one for each")
+            some = ", ".join(f"{x:.4g}" for x in centres[:8]) + ", ..." * (centres.size > 8)
+            counts = f"{data.size} values for {centres.size} bands, centred at {some} nm"
+            raise ValueError(f"{counts}; need a value for each band and a band for each value")
         grid, weights = np.asarray(self.wavelengths), np.asarray(self.weights)
         spread = np.sqrt((weights * (grid - centres[:, None]) ** 2).sum(1))
         for x, centre, width in zip(np.sort(data), centres, spread, strict=True):

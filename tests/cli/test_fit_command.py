@@ -148,7 +148,12 @@ def test_what_the_instrument_averages_is_stated(irisjax, eye, sampled, tmp_path)
     both = irisjax("fit", path, "--bands", bands, "--bandwidth", "20")
     one_line(both, "--bandwidth or --bands, not both")
     bands.write_text("centre,fwhm\n450,20\n550,20\n")
-    one_line(irisjax("fit", path, "--bands", bands), "3 values for 2 bands")
+    said = f"{bands}, bands for {path}: 3 values for 2 bands, centred at 450, 550 nm; need a value"
+    one_line(irisjax("fit", path, "--bands", bands), said)
+    one_line(
+        irisjax("fit", path, "--bands", path),
+        f"{path}: column 'R (fraction)' (reflectance) is of a",
+    )
 
 
 def test_two_spots_of_one_eye(irisjax, eye, sampled, tmp_path, monkeypatch):

@@ -219,6 +219,17 @@ BEGIN_DATA
 END_DATA
 """
 PERKIN_ELMER = "PE UV  SUBTECH\n-1\neye.asc\n\nnm\n{unit}\n1.0\n0.0\n#DATA\n{rows}"
+IAD = """IAD1 # Must be first four characters
+1.34  # Index of refraction of the sample
+{slides}  # Index of refraction of the slides
+1.0 1.0 5.0 0.98 # Thickness of sample and slides, beam, standard
+{spheres} # spheres
+203.2 25.4 12.7 1.00 0.96
+203.2 25.4 12.7 1.00 0.96
+{legend} # columns
+#lambda M_R M_T
+{rows}
+"""
 # What each file holds is known by its words; beside it: how it is asked, whether it has an sd, and
 # what is said.
 ROLES = {
@@ -297,6 +308,18 @@ ROLES = {
         {},
         False,
         "1 of 32 wavelengths left out",
+    ),
+    "IAD, a number of columns": (
+        IAD.format(slides=1.5, spheres=1, legend="2", rows=rows(" ", GRID, R, 0.5 * R)),
+        {},
+        False,
+        "--fix gain=0.920",
+    ),
+    "IAD, letters": (
+        IAD.format(slides=1, spheres=0, legend="L t r R", rows=rows(" ", GRID, R / 2, R, 0.99 + 0 * R)),
+        {},
+        False,
+        "'M_R' used, 'M_T' left out",
     ),
     "CGATS": (
         CGATS.format(
@@ -456,6 +479,15 @@ BOTH = ",".join(f"{kind} {x:.0f}nm" for kind in ("SCI", "SCE") for x in X)
         ("nm,R\n" + rows(",", X, 20 * Y), "give --unit percent or --unit fraction"),
         ("nm,radiance\n" + rows(",", X, Y), "give --quantity radiance"),
         ("nm,Transmittance\n" + rows(",", X, Y), "holds a transmittance"),
+        (
+            IAD.format(slides=1, spheres=0, legend="L t", rows=rows(" ", X, Y)),
+            "'M_T' holds a transmittance",
+        ),
+        (
+            IAD.format(slides=1, spheres=0, legend="2", rows=rows(" ", Y, Y)),
+            "line 10: 2 columns, 3 stated, the wavelength among them",
+        ),
+        (IAD.split("{spheres}")[0].format(slides="glass"), "IAD: .*'glass' among the parameters"),
         ("nm,irradiance (µW/cm²)\n" + rows(",", X, Y), "holds irradiance, not a reflectance"),
         (jcamp("ARBITRARY UNITS", Y), "holds arbitrary units, not a reflectance"),
         (jcamp("COUNTS", COUNTS), "holds counts"),

@@ -123,6 +123,22 @@ def test_bands_from_files(tmp_path):
     path.write_text("nm,red,green\n500,0,1\n550,,3\n600,2,1\n")
     with pytest.raises(ValueError, match="line 3: no finite number for 'red'"):
         io.read_passbands(path)
+    for text, said in (
+        (
+            "nm,R %,sd\n500,2,1\n550,2,1\n",
+            "column 'R %' \\(reflectance\\) is of a spectrum, not of bands",
+        ),
+        (
+            "centre,sensitivity\n500,1\n550,1\n",
+            "the file has centres of bands and no widths; need rows",
+        ),
+        ("nm,fwhm\n500,10\n550,10\n", "widths of bands and no centres"),
+    ):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=said):
+            io.read_passbands(path)
+    path.write_text("nm,R,G,B\n500,0,0,1\n550,0,1,0\n600,1,0,0\n")
+    assert io.read_passbands(path).centres.size == 3
     path.write_text("nm,infrared\n700,1\n900,1\n")
     with pytest.raises(ValueError, match=r"50 % of the band 'infrared' is outside 350 to 800 nm"):
         io.read_passbands(path)
