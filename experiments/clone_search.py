@@ -1,5 +1,6 @@
-"""The search for a clone's pigments, F09's simplex beside least squares: its path, and the pictures
-on its way, for F09 Fig. 19; all simulated.
+"""The search for a clone's pigments: F09's simplex under its own premises (exposure, light and
+scattering measured before) and without them, and what `irisjax clone` does, for F09 Fig. 19; all
+simulated.
 """
 
 from dataclasses import replace
@@ -7,13 +8,23 @@ from dataclasses import replace
 import numpy as np
 import skimage.transform
 
-from experiments.clone_thickness import ABOUT, EYES, brightened, simulated, write_jpeg
+from experiments.clone_thickness import (
+    ABOUT,
+    EYES,
+    brightened,
+    clone_by_f09,
+    clone_to_texels,
+    simulated,
+    write_jpeg,
+)
+from experiments.clone_truth import premises
 from experiments.common import RESULTS, start, write
-from irisjax.photo.clone import CloneSettings, Fitted, clone_to_pigments, compare_with_photograph
-from irisjax.photo.pigments import CONCENTRATIONS, fit_pigments, simplex
+from irisjax.photo.clone import CloneSettings, Fitted, compare_with_photograph
+from irisjax.photo.pigments import CONCENTRATIONS, simplex
+from irisjax.photo.thickness import BETA, SIGMA
 
-STEPS = 1, 2, 4, 12, 50
-"""Of the searches, where their path is kept; of the simplex those for the eumelanins."""
+STEPS = 1, 4, 12, 50
+"""Of the simplex under its premises, where its path is kept; those for the eumelanins."""
 SHOWN = {"start": 1, "middle": 12, "end": 50}
 """Steps of the simplex whose pictures are kept; those of the end with the ratios sought too."""
 SIDE = 220
@@ -23,33 +34,34 @@ FILE = "clone_search"
 
 def main(key, quick=False, out=RESULTS):
     """Write paths, cumulative differences and pictures (quick: one eye, a third as large)."""
-    del key  # a clone up to its pigments draws no random numbers
+    del key  # a clone up to its texels draws no random numbers
     steps = STEPS[:2] if quick else STEPS
     path, differences, pictures = [], [], []
     for colour in EYES[:1] if quick else EYES:
-        found = clone_to_pigments(simulated(colour, quick), CloneSettings())
-        known, row = (found.windows, found.base), []
+        photograph, row = simulated(colour, quick), []
+        measured = clone_by_f09(photograph, colour, CloneSettings(beta=BETA, sigma=SIGMA))
+        known, fits = premises(colour)[1], {}
         for count in steps:
-            log = simplex(*known, count).log
-            print(f"{colour}: {count} steps", flush=True)
-            path.append((colour, "simplex", count, *_numbers(log[0]), 1.0))
-            if count == steps[-1]:
-                path.append((colour, "simplex", 2 * count, *_numbers(log[1]), 1.0))
-            least = fit_pigments(*known, count)
-            values = {**least.values, "rms": float(least.rms.mean())}
-            path.append((colour, "least squares", count, *_numbers(values), values["exposure"]))
-        fits = {name: simplex(*known, min(count, steps[-1])) for name, count in SHOWN.items()}
-        # The simplex holds the exposure as stated.
-        shown = {name: replace(found, fit=f, exposure=np.ones(3)) for name, f in fits.items()}
-        for name, at in {**shown, "least squares": found}.items():
+            fits[count] = simplex(measured.windows, measured.base, known, count)
+            path.append((colour, "simplex", count, *_numbers(fits[count].log[0])))
+        path.append((colour, "simplex", 2 * count, *_numbers(fits[count].log[1])))
+        stages = {n: replace(measured, fit=fits[min(at, count)]) for n, at in SHOWN.items()}
+        # A photograph of which nothing is known but itself.
+        alone = clone_to_texels(photograph)
+        fit = simplex(alone.windows, alone.base, max_steps=count)
+        path.append((colour, "nothing known", 2 * count, *_numbers(fit.log[1])))
+        values = {**alone.fit.values, "rms": float(alone.fit.rms.mean())}
+        path.append((colour, "least squares", alone.fit.steps, *_numbers(values)))
+        bare = replace(alone, texels=None, fit=fit, exposure=np.ones(3))
+        stages |= {"nothing known": bare, "texels": alone}
+        for name, at in stages.items():
             both, off, rms = _compared(at)
             row += both if not row else both[1:]
             differences += [(colour, name, step, *share, *rms) for step, share in off]
         pictures.append(np.concatenate(row, 1))
     out.mkdir(parents=True, exist_ok=True)
     write_jpeg(out / f"{FILE}.jpg", np.concatenate(pictures))
-    columns = "eye", "method", "steps", *CONCENTRATIONS, "rms", "exposure"
-    write(out / f"{FILE}.csv", ABOUT, columns, path)
+    write(out / f"{FILE}.csv", ABOUT, ("eye", "method", "steps", *CONCENTRATIONS, "rms"), path)
     shares = tuple(f"{which}_{c}" for which in ("share", "rms") for c in "rgb")
     columns = "eye", "stage", "difference", *shares
     write(out / f"{FILE}_differences.csv", ABOUT, columns, differences)
@@ -60,19 +72,19 @@ def _numbers(values: dict[str, float]):
 
 
 def _compared(found: Fitted):
-    """Photograph and rendering, reduced; shares of the pixels that differ by at most so many of 255
-    steps; RMS per channel.
+    """Photograph and picture by the pigments alone, reduced; shares of the pixels that differ by at
+    most so many of 255 steps; RMS per channel.
     """
     both = compare_with_photograph(found)
-    off = 255 * np.abs(both.photograph - both.rendered)[both.clear]
+    off = 255 * np.abs(both.photograph - both.pigments)[both.clear]
     shares = [
         (step, [float((off[:, k] <= step).mean()) for k in range(3)]) for step in range(0, 121, 2)
     ]
     small = [
         skimage.transform.resize(brightened(p), (SIDE, SIDE), anti_aliasing=True)
-        for p in (both.photograph, both.rendered)
+        for p in (both.photograph, both.pigments)
     ]
-    return small, shares, [float(r) for r in both.rms]
+    return small, shares, [float(r) for r in both.rms_of_pigments]
 
 
 if __name__ == "__main__":

@@ -1,15 +1,17 @@
-"""Clones of the simulated photographs against their truth, for F09 Figs. 8, 9 and 11: thickness
-with and without deconvolution, local profiles, and the windows that pigments are told from.
+"""Clones of the simulated photographs against their truth, for F09 Figs. 8, 9, 11 and 20: thickness
+with and without deconvolution, local profiles, luminance along an arc, and the windows from which
+pigments are inferred.
 """
 
 import io
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from experiments.clone_truth import STEP, Truth, correlation, true_thickness
+from experiments.clone_truth import STEP, Truth, correlation, premises, true_thickness
 from experiments.common import RESULTS, start, write
 from experiments.simulated_photographs import FOLDER
 from irisjax.io import write_atomically
@@ -17,13 +19,17 @@ from irisjax.io.photographs import read_photograph
 from irisjax.measure.colour import srgb_decode, srgb_encode
 from irisjax.photo.clone import (
     CloneSettings,
+    Coloured,
     Fitted,
+    Given,
     PictureDifference,
+    Shaped,
+    clone_eye,
     clone_to_pigments,
     compare_with_photograph,
 )
 from irisjax.photo.photograph import Photograph
-from irisjax.photo.pigments import predicted_colours
+from irisjax.photo.pigments import predicted_colours, simplex
 from irisjax.photo.texture import HALF_WIDTH, Unrefracted, to_polar, unrefract
 from irisjax.photo.thickness import BETA, generic_thickness
 from irisjax.photo.windows import ANGLES, MARGIN, OUTER_MARGIN, RINGS
@@ -34,10 +40,12 @@ VARIANTS = {
     "0.5 mm": CloneSettings(beta=BETA, sigma=0.5),
     "1.0 mm": CloneSettings(beta=BETA, sigma=1.0),
     "beta 2 mm": CloneSettings(beta=2.0, sigma=0.0),
-    "default": CloneSettings(),
+    "default": None,
 }
-"""F09's Eq. 7 without deconvolution and with two widths; with a larger β; and what `irisjax clone`
-does of itself: thickness by the model's response."""
+"""F09's Eq. 7 without deconvolution and with two widths; with a larger β, all under F09's premises;
+and what `irisjax clone` does of itself: every texel its own thickness and pigments."""
+ARC = 3.5
+"""Radius of the arc of Fig. 20, mm."""
 DETAIL = (2.2, 4.8), (-1.3, 1.3)
 """Of the iris plane, x and y, mm: a square beside the pupil, away from the highlight."""
 LIGHT = 2.0
@@ -55,16 +63,22 @@ def main(key, quick=False, out=RESULTS):
     """Write CSVs, pictures and arrays (quick: one eye, a third as large, two variants)."""
     del key  # a clone up to its pigments draws no random numbers
     names = ("none", "default") if quick else tuple(VARIANTS)
-    scores, rings, local, windows, pictures, arrays = [], [], [], [], [], {}
+    scores, rings, local, windows, arcs, pictures, arrays = [], [], [], [], [], [], {}
     for colour in EYES[:1] if quick else EYES:
         photograph, row = simulated(colour, quick), []
         for name in names:
-            found = clone_to_pigments(photograph, VARIANTS[name])
+            settings = VARIANTS[name]
+            if settings is None:
+                found = clone_to_texels(photograph)
+            else:
+                found = clone_by_f09(photograph, colour, settings)
             texture = found.texture
             truth = true_thickness(colour, texture)
             estimate, both = found.morphology.thickness, compare_with_photograph(found)
             scores.append((colour, name, *_score(found, truth, both)))
-            row.append(_detail(_flat(brightened(both.rendered), found).pixels))
+            row.append(_detail(_flat(brightened(both.pigments), found).pixels))
+            along = zip(*both._replace(rendered=both.pigments).arc(found, ARC, 360), strict=True)
+            arcs += [(colour, name, *map(float, values)) for values in along]
             arrays[f"{colour} {name}"] = _micrometres(estimate)
         arrays[f"{colour} true"] = _micrometres(truth.thickness)
         taken = brightened(both.photograph)
@@ -84,11 +98,38 @@ def main(key, quick=False, out=RESULTS):
         ("_rings", _RINGS, rings),
         ("_profiles", ("eye", "angle_deg", "radius_mm", "true_mm", "estimate_mm"), local),
         ("_windows", _WINDOWS, windows),
+        ("_arcs", ("eye", "variant", "angle_deg", "photograph", "rendered"), arcs),
     ):
         write(out / f"{FILE}{name}.csv", ABOUT, columns, rows)
 
 
 ABOUT = ("clones of data/photographs, all simulated; see experiments/README.md",)
+
+
+def clone_by_f09(
+    photograph: Photograph, colour: str, settings: CloneSettings, given: Given | None = None
+) -> Fitted:
+    """A clone under F09's premises: its search, with exposure, light and scattering known, in
+    pictures of the thickness that Eq. 7 gives  [F09 Fig. 10]; the light may be `given` otherwise.
+    """
+    measured, known = premises(colour)
+    given = measured if given is None else given
+    *_, shaped = clone_eye(photograph, settings, given, last="thickness")
+    assert isinstance(shaped, Shaped)
+    given = given._replace(maps=shaped.morphology.maps)
+    found = clone_to_pigments(photograph, settings, given)
+    gains = np.array([known["red_gain"], 1, known["blue_gain"]])
+    fit = simplex(found.windows, found.base, known)
+    return replace(found, fit=fit, exposure=known["exposure"] * gains)
+
+
+def clone_to_texels(photograph: Photograph) -> Coloured:
+    """What `irisjax clone` makes, with the thickness of its texels."""
+    *_, found = clone_eye(photograph, CloneSettings(), last="texels")
+    assert isinstance(found, Coloured)
+    depth = np.asarray(found.maps().stroma_depth)
+    shape = found.morphology._replace(thickness=found.texture.from_polar(depth))
+    return replace(found, morphology=shape)
 
 
 def simulated(colour: str, quick: bool) -> Photograph:
@@ -152,7 +193,7 @@ def _score(found: Fitted, truth: Truth, both: PictureDifference) -> tuple:
         float(seen.mean()),
         float(true.mean()),
         found.morphology.clamped,
-        *(float(r) for r in both.rms),
+        *(float(r) for r in both.rms_of_pigments),
     )
 
 

@@ -1,17 +1,20 @@
 """Thickness of the simulated photographs' eyes, and how near a clone comes to it."""
 
 import json
+import math
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
 from experiments.simulated_photographs import FOLDER
 from irisjax.io import read_maps
-from irisjax.photo.clone import Shaped
+from irisjax.photo.clone import FIBRILS, Given, Shaped
 from irisjax.photo.texture import Unrefracted
 from irisjax.photo.windows import MARGIN
+from irisjax.render.environment import Environment
+from irisjax.render.lights import Lights
 
 STEP = 0.05
 """Of radii, mm."""
@@ -26,8 +29,7 @@ class Truth(NamedTuple):
 
 def true_thickness(colour: str, texture: Unrefracted, folder: Path = FOLDER) -> Truth:
     """What the photograph was made with."""
-    every = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["photographs"]
-    numbers = next(p for p in every if p["file"] == f"{colour}.jpg")
+    numbers = _numbers(colour, folder)
     depth = np.asarray(read_maps(folder / numbers["maps"]).stroma_depth)
     angles, radii = depth.shape
     inner, outer = (numbers["eye"][f"{n}_radius"] for n in ("pupil", "iris"))
@@ -39,6 +41,31 @@ def true_thickness(colour: str, texture: Unrefracted, folder: Path = FOLDER) -> 
     rim = max(inner, texture.pupil_radius) + MARGIN
     used = texture.valid & (radius > rim) & (radius < texture.iris_radius - MARGIN)
     return Truth(np.where(known, found, 0), used)
+
+
+def premises(colour: str, folder: Path = FOLDER) -> tuple[Given, dict[str, float]]:
+    """What F09 measured before its search: the light; exposure, white balance and scattering by the
+    names of `simplex`.
+    """
+    numbers = _numbers(colour, folder)
+    lamp, (red, green, blue) = numbers["lamp"], numbers["gains"]
+    polar, azimuth, radius = (
+        math.radians(lamp[f"{n}_deg"]) for n in ("polar", "azimuth", "radius")
+    )
+    lights = Lights.distant(polar, azimuth, lamp["irradiance"], radius=radius)
+    room = Environment.uniform(numbers["room_radiance"])
+    known = {
+        "exposure": numbers["exposure"] * green,
+        "red_gain": red / green,
+        "blue_gain": blue / green,
+        "scattering_scale": (numbers["iris"]["fibril_radius"] / FIBRILS) ** 3,
+    }
+    return Given(lights=lights, environment=room), known
+
+
+def _numbers(colour: str, folder: Path) -> dict[str, Any]:
+    every = json.loads((folder / "truth.json").read_text(encoding="utf-8"))["photographs"]
+    return next(p for p in every if p["file"] == f"{colour}.jpg")
 
 
 def correlation(found: Shaped, thickness: np.ndarray, used: np.ndarray) -> tuple[float, float]:

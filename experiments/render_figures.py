@@ -1,4 +1,4 @@
-"""Pictures after LB06 Fig. 9 and F09 Figs. 14 to 18, and the functions of Figs. 15 and 16; all
+"""Pictures after LB06 Fig. 9 and F09 Figs. 1 and 14 to 18, and the light of Figs. 15 and 16; all
 simulated.
 """
 
@@ -24,12 +24,18 @@ from irisjax.render.lights import Lights
 from irisjax.render.picture import draw, illuminate, respond, shade, texture
 from irisjax.render.project import project
 from irisjax.render.scene import Scene
+from irisjax.render.single_scattering import SingleScattering
+from irisjax.tissue import FRACTIONS
 
 MELANIN = (("high", 1.008, 0.2674), ("moderate", 0.8138, 0.2054), ("low", 0.1201, 0.0194))
 EXPOSURE = 6.0
 """LB06's irides send back 1 to 5 % of the light: brightened alike, all of them."""
-GRAZING = 1.5
+GRAZING = 1.7
 """Polar angle of the light of a caustic, radians."""
+CONCENTRATIONS = dict(zip(FRACTIONS, (7.56, 5.84, 4.61, 2.11), strict=True))
+"""Of F09's Fig. 1, in per cent of volume."""
+SMOOTH = {"crypts": 0, "furrows": 0}
+"""Features of irides on which a caustic is the brightest thing."""
 
 
 def main(key, quick=False, out=RESULTS):
@@ -95,12 +101,24 @@ def main(key, quick=False, out=RESULTS):
         line=line.astype(np.float32),
         irradiance=irradiance,
     )
-    lamp = Lights.distant(GRAZING, math.pi, 2 * math.pi)
+    lamp = Lights.distant([GRAZING, 0.4], [math.pi, 2.0], [2 * math.pi, 0.8])
     caustic = []
     for i, colour in enumerate(("brown", "blue")):
-        iris, maps = preset(colour, shape=shape, key=seed(2 + i))
+        iris, maps = preset(colour, shape=shape, features=SMOOTH, key=seed(2 + i))
         caustic.append(draw(Scene(iris, maps, close, lamp, camera=camera), full))
     save("render_f09_fig16", caustic, 3.0)
+
+    # Fig. 1: F09's concentrations, cornea and renderer, in the same lights.
+    eye = Eye(sclera=None, cornea=Cornea.f09(), aqueous_index=jnp.asarray(1.376))
+    tables = Illumination.build(eye, caustics=True, **table)
+    first = []
+    for light in (lights, lamp):
+        alike = {"features": {"heterochromia": 0, "freckles": 0}, "pigments": CONCENTRATIONS}
+        iris, maps = preset("green", eye, shape=shape, **alike, key=seed(4))
+        iris = iris.replace(fibril_radius=30.0)
+        parts = {"camera": camera, "integrator": SingleScattering()}
+        first.append(draw(Scene(iris, maps, eye, light, **parts), tables))
+    save("render_f09_fig1", first, 40.0)
 
     # Fig. 17: the same iris without and with freckles.
     freckled = []

@@ -1,5 +1,5 @@
-"""After F09 Figs. 8, 9 and 11: thickness of the stroma from photographs beside the truth, and what
-pigments are told from; all simulated but for the ultrasound's three points.
+"""After F09 Figs. 8, 9, 11 and 20: thickness of the stroma from photographs beside the truth, the
+windows of the pigments, and luminance on an arc; all simulated but the ultrasound's three points.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ def generic_profile():
         r = c["radius_mm"]
         for which, colour, style, label in (
             ("true", "C2", "-", "truth of the photograph, mean ± SD round the eye"),
-            ("estimate", "C1", "--", "told from the photograph, mean ± SD"),
+            ("estimate", "C1", "--", "estimated from the photograph, mean ± SD"),
         ):
             mean, spread = c[f"{which}_mm"] + LAYERS, c[f"{which}_sd_mm"]
             axis.fill_between(r, mean - spread, mean + spread, color=colour, alpha=0.18, lw=0)
@@ -44,7 +44,7 @@ def deconvolution():
     names = "none", "0.5 mm", "1.0 mm", "beta 2 mm", "default"
     titles = (
         *("β = 0.35 mm,\nnot deconvolved", "β = 0.35 mm,\nσ = 0.5 mm", "β = 0.35 mm,\nσ = 1.0 mm"),
-        *("β = 2 mm,\nnot deconvolved", "by the model's\nresponse (default)"),
+        *("β = 2 mm,\nnot deconvolved", "irisjax clone:\nevery texel"),
     )
     sheet = imread(RESULTS / f"{FILE}.jpg")
     side = sheet.shape[0] // len(EYES)
@@ -94,7 +94,8 @@ def windows():
             )
         profile.set(xlabel="distance from the axis (mm)", ylabel="stroma (mm)", ylim=(0, 0.7))
         profile.set_title(f"{eye} eye: local thickness", fontsize=8)
-        profile.legend(fontsize=7, ncols=2, title="solid: truth; dashed: told", title_fontsize=7)
+        key = "solid: truth; dashed: estimate"
+        profile.legend(fontsize=7, ncols=2, title=key, title_fontsize=7)
         mine = [r for r in borders if r["eye"] == eye and r["present"] == "1"]
         _polar(filtered, arrays[f"{eye} cells"], arrays[f"{eye} rim"])
         for r in mine:
@@ -116,6 +117,28 @@ def windows():
         filtered.set_ylabel("y (mm)")
     figure.suptitle("After F09 Fig. 11 (simulated)", fontsize=9)
     save_picture(figure, "f09_fig11")
+
+
+def arcs():
+    """F09 Fig. 20."""
+    titles = {"none": "(a) not deconvolved", "0.5 mm": "(b) σ = 0.5 mm", "1.0 mm": "(c) σ = 1.0 mm"}
+    figure, axes = plt.subplots(2, 3, figsize=(9.4, 4.6), sharex=True, sharey="row",
+                                layout="constrained")  # fmt: skip
+    rows = read(f"{FILE}_arcs.csv")
+    for line, eye in zip(axes, EYES, strict=True):
+        found = curves([r for r in rows if r["eye"] == eye], "variant")
+        for axis, (name, title) in zip(line, titles.items(), strict=True):
+            c = found[name]
+            axis.plot(c["angle_deg"], c["photograph"], color="C3", lw=0.9, label="photograph")
+            axis.plot(c["angle_deg"], c["rendered"], color="C0", lw=0.9, label="clone")
+            axis.set_title(f"{eye} eye, {title}", fontsize=8)
+            axis.set(xlim=(0, 360), xticks=(0, 90, 180, 270, 360))
+        line[0].set_ylabel("luminance (encoded)", fontsize=8)
+    for axis in axes[-1]:
+        axis.set_xlabel("angle round the eye (degrees)", fontsize=8)
+    axes[0, 0].legend(fontsize=7)
+    figure.suptitle("After F09 Fig. 20: luminance 3.5 mm from the axis (simulated)", fontsize=9)
+    save(figure, "f09_fig20")
 
 
 def _polar(axis, colours, rim) -> None:
@@ -146,3 +169,4 @@ def _luminance(row, which: str) -> float:
 generic_profile()
 deconvolution()
 windows()
+arcs()

@@ -1,5 +1,5 @@
-"""After F09 Fig. 19: the search for the pigments by F09's simplex beside least squares, on the way
-and at the end; all simulated.
+"""After F09 Fig. 19: F09's search for the pigments under its premises, on the way and at the end,
+beside the same without them and what `irisjax clone` makes; all simulated.
 """
 
 import json
@@ -13,11 +13,16 @@ STAGES = {
     "start": "simplex, 1 step",
     "middle": "simplex, 12 steps",
     "end": "simplex, end",
-    "least squares": "least squares",
+    "nothing known": "without the premises",
+    "texels": "irisjax clone",
 }
 CHANNELS = ("r", "C1", "-"), ("g", "C2", "--"), ("b", "C0", ":")
 PIGMENTS = ("abl_eumelanin", "ABL", "C0"), ("stroma_eumelanin", "stroma", "C1")
-METHODS = ("simplex", "o--"), ("least squares", "s-")
+METHODS = (
+    ("simplex", "simplex, exposure, light and scattering known", "o--"),
+    ("nothing known", "simplex, without these", "x"),
+    ("least squares", "least squares, which infers them", "s"),
+)
 FILE = "clone_search"
 
 
@@ -26,7 +31,7 @@ def pictures():
     sheet = imread(RESULTS / f"{FILE}.jpg")
     side = sheet.shape[0] // len(EYES)
     differences = read(f"{FILE}_differences.csv")
-    figure, axes = plt.subplots(4, 5, figsize=(9.4, 7.0), layout="constrained")
+    figure, axes = plt.subplots(4, 6, figsize=(10.6, 6.8), layout="constrained")
     for row, eye in enumerate(EYES):
         for column, title in enumerate(("photograph (simulated)", *STAGES.values())):
             shown = axes[2 * row, column]
@@ -52,7 +57,9 @@ def pictures():
             axis.tick_params(labelsize=7)
             axis.legend(fontsize=7, loc="lower right", title="RMS", title_fontsize=7)
         below[0].set_ylabel("pixels, cumulative (%)", fontsize=7)
-    figure.suptitle("After F09 Fig. 19 (simulated; light × 2)", fontsize=9)
+    figure.suptitle(
+        "After F09 Fig. 19 (simulated; light × 2)", fontsize=9
+    )
     save_picture(figure, "f09_fig19")
 
 
@@ -63,12 +70,12 @@ def path():
     for column, eye in enumerate(EYES):
         off, melanin = axes[:, column]
         of_eye = curves([r for r in found if r["eye"] == eye], "method")
-        for method, style in METHODS:
+        for method, said, style in METHODS:
             c = of_eye[method]
             off.plot(c["steps"], 100 * c["rms"], style, color="k" if style[0] == "s" else "0.5",
-                     ms=4, label=method)  # fmt: skip
+                     ms=5, label=said)  # fmt: skip
             for name, layer, colour in PIGMENTS:
-                melanin.plot(c["steps"], c[name], style, color=colour, ms=4, lw=1.2,
+                melanin.plot(c["steps"], c[name], style, color=colour, ms=5, lw=1.2,
                              label=f"{layer}, {method}")  # fmt: skip
         for name, layer, colour in PIGMENTS:
             true = truth[eye]["_".join(reversed(name.split("_")))]
@@ -77,7 +84,7 @@ def path():
         off.set_yticks((2, 5, 10, 20, 50, 100), ("2", "5", "10", "20", "50", "100"))
         off.minorticks_off()
         off.set_title(f"{eye} eye", fontsize=9)
-        melanin.set(xlabel="steps", xscale="log", yscale="log", ylim=(1e-5, 20))
+        melanin.set(xlabel="steps", xscale="log", yscale="log", ylim=(1e-3, 20))
     axes[0, 0].set_ylabel("difference in the windows, RMS (%)", fontsize=8)
     axes[1, 0].set_ylabel("eumelanin (mg/ml of the layer)", fontsize=8)
     axes[0, 0].legend(fontsize=7)

@@ -1,4 +1,4 @@
-"""Pictures after LB06 Fig. 9 and F09 Figs. 14 to 18, with what each panel shows."""
+"""Pictures after LB06 Fig. 9 and F09 Figs. 1 and 14 to 18, with what each panel shows."""
 
 import matplotlib.image
 import numpy as np
@@ -50,8 +50,14 @@ panels(
 panels(
     "render_f09_fig16",
     ["brown", "blue"],
-    "After F09 Fig. 16: light 86° aside from the left (simulated; light × 3)",
+    "After F09 Fig. 16: a caustic, light 97° aside from the left (simulated; light × 3)",
     "f09_fig16",
+)
+panels(
+    "render_f09_fig1",
+    ["two lamps", "a caustic, light 97° aside"],
+    "After F09 Fig. 1: its concentrations (simulated; light × 40)",
+    "f09_fig1",
 )
 panels(
     "render_f09_fig17",

@@ -30,6 +30,7 @@ SLOW = {
     "clone_thickness",
     "exact_against_montecarlo",
     "eye_colours",
+    "f09_findings",
     "groups",
     "mitsuba_truth",
     "painted_irides",

@@ -34,13 +34,16 @@ from irisjax.photo.eye_colour import RINGS, EyeColour, RegionColour, colours_of
 from irisjax.photo.photograph import Photograph
 from irisjax.plot.beside import Later, beside, here
 from irisjax.render.environment import Environment
+from irisjax.render.integrators import INTEGRATORS
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.separable import Separable
+from irisjax.render.single_scattering import TabulatedSingleScattering
 
 _NOT_SURE = 3
 _SMALL_PART = 0.3  # share of the photograph's pixels below which the part that is used is named
 _FIGURES = "side_by_side.png", "differences.png", "luminance.png"
 _PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
+_INTEGRATORS = INTEGRATORS | {"single-scattering": TabulatedSingleScattering}
 _DEFAULTS = cloning.CloneSettings()
 
 
@@ -139,6 +142,10 @@ class CloneModel(opt.Group, panel="Model"):
         "search for the pigments; simplex is F09's", cloning.METHODS, _DEFAULTS.method
     )
     process: str = opt.choice("light in the iris", _PROCESSES, "ilit-2006")
+    integrator: str | None = opt.choice(
+        "the same as render names it, with F09's renderer, single-scattering, among them",
+        _INTEGRATORS,
+    )
     max_steps: int = opt.whole(
         "most steps of the posterior's chain", Range(150, 100_000), _DEFAULTS.steps
     )
@@ -409,11 +416,14 @@ def pigments_withheld(found: cloning.Outlined, doubts: tuple[Doubt, ...]) -> boo
 
 def _settings(picture: ClonePicture, model: CloneModel) -> cloning.CloneSettings:
     azimuth, sigma = picture.tilt_azimuth, model.deconvolution
+    if model.integrator is not None and "process" in model.typed:
+        raise ValueError("--integrator names the process too; give no --process")
+    named: Any = _INTEGRATORS.get(model.integrator or "", _PROCESSES[model.process])
     return cloning.CloneSettings(
         focal_px=picture.focal_px,
         azimuth=None if azimuth is None else float(np.radians(azimuth)),
         sigma=None if isinstance(sigma, str) else sigma,
-        integrator=_PROCESSES[model.process](),
+        integrator=named(),
         steps=model.max_steps,
         **{n: getattr(model, n) for n in ("media", "iris_depth", "beta", "relief", "method")},
     )

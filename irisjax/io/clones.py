@@ -239,7 +239,7 @@ def scene_text(clone: Fitted) -> str:
         },
         "picture": {
             "exposure": np.clip(clone.exposure[1], 1e-6, 1e6),
-            "integrator": integrator_name(clone.integrator),
+            "integrator": integrator_name(scene.integrator),
         },
     }
     if around is not None and around.is_uniform():

@@ -59,8 +59,9 @@ from irisjax.render.lights import Lights
 from irisjax.render.picture import illuminate, respond, shade, surroundings, texture
 from irisjax.render.project import View, look, onto_picture
 from irisjax.render.radiative import RadiativeIntegrator
-from irisjax.render.scene import Scene
+from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
 from irisjax.render.separable import Separable
+from irisjax.render.single_scattering import SingleScattering, TabulatedSingleScattering
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.ilit.exact import IlitExact
@@ -131,6 +132,7 @@ class Given(NamedTuple):
         second: A photograph of the same eye, for example through crossed polarisers. Its texture
             gives the thickness; pigments and light are inferred from the first photograph.
         eye: Which of several eyes, as of `find_boundaries`.
+        environment_lights: Number of lamps that stand for the environment.
     """
 
     limbus: Ellipse | None = None
@@ -142,6 +144,7 @@ class Given(NamedTuple):
     maps: IrisMaps | None = None
     second: Photograph | None = None
     eye: str | None = None
+    environment_lights: int = ENVIRONMENT_LIGHTS
 
 
 NOTHING = Given()  # every stage finds its own result
@@ -258,6 +261,7 @@ class Fitted(Lit):
     def scene(self) -> Scene:
         """Return the eye as it was photographed: the same camera, light and pigments."""
         light, room = self.lighting, self.fit.values["room"]
+        marched = isinstance(self.integrator, TabulatedSingleScattering)
         around = Environment.uniform(room) if light.room else light.environment
         camera = self.pose.camera
         if self.veil is not None:  # of a room as bright as the model's the camera sees a share
@@ -270,7 +274,8 @@ class Fitted(Lit):
             lights=light.lamps,
             environment=around,
             camera=camera,
-            integrator=self.integrator,
+            integrator=SingleScattering() if marched else self.integrator,
+            environment_lights=light.environment_lights,
         )
 
     def maps(self) -> IrisMaps:
@@ -492,7 +497,8 @@ def light_eye(
     if given.lights is None and given.environment is None:
         light = find_lighting(shaped.part, pose, shaped.view)
     else:
-        light = Lighting(given.lights, given.environment)
+        count = given.environment_lights
+        light = Lighting(given.lights, given.environment, environment_lights=count)
     # Tables depend on the lowest light, and a room shines from all round.
     around = Environment.uniform() if light.room else light.environment
     scene = Scene(Iris(), eye=pose.eye, lights=light.lamps, environment=around)
@@ -558,7 +564,8 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
         return Coloured(**vars(fitted), texels=None)
     finest: Any = finer(fitted.integrator)
     fitted = dataclasses.replace(fitted, integrator=finest)
-    scene, shape, eye = fitted.scene(), fitted.clear.shape, fitted.pose.eye
+    scene = fitted.scene().replace(integrator=finest)
+    shape, eye = fitted.clear.shape, fitted.pose.eye
     seen = fitted.view.iris
     assert seen is not None
     x, y = map(np.asarray, seen.point[:2])

@@ -33,19 +33,21 @@ class Lighting(NamedTuple):
         room: Whether there may be light from all round beside them, whose radiance is fitted with
             the pigments.
         found: Number of lamps inferred from highlights; `None` for a given light.
+        environment_lights: Number of lamps that stand for the environment.
     """
 
     lamps: Lights | None
     environment: Environment | None = None
     room: bool = False
     found: int | None = None
+    environment_lights: int = ENVIRONMENT_LIGHTS
 
     def lights(self) -> Lights:
         """Return all of it but the room, as the lights of a scene."""
         if self.environment is None:
             assert self.lamps is not None
             return self.lamps
-        around = self.environment.to_lights(ENVIRONMENT_LIGHTS)
+        around = self.environment.to_lights(self.environment_lights)
         return around if self.lamps is None else self.lamps + around
 
 

@@ -14,6 +14,7 @@ around the pupil, and light may fall off as that of no lamp of the model does.
 """
 
 import math
+from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from types import SimpleNamespace
@@ -247,22 +248,36 @@ def misfits(fit: PigmentFit, windows: Windows) -> list[str]:
     return doubts
 
 
-def simplex(windows: Windows, base: Iris) -> PigmentFit:
+def simplex(
+    windows: Windows,
+    base: Iris,
+    known: Mapping[str, float] | None = None,
+    max_steps: int = _STEPS[1],
+) -> PigmentFit:
     """Fit the pigments by F09's search  [F09 Section 5.2].
 
     Nelder and Mead's simplex finds the eumelanins with pheomelanin tied to them, then the two
-    ratios; exposure and white balance keep their stated values. The log has the values and the
-    relative RMS at each stage.
+    ratios. The log has the values and the relative RMS at each stage.
+
+    Args:
+        windows: The windows.
+        base: Iris that fixes everything but melanins and scattering.
+        known: Values of the other free parameters by name: F09 measured exposure and light before.
+            Those that are not given keep the medians of their priors.
+        max_steps: Most steps of a stage.
     """
     log: list[dict[str, float]] = []
-    z = np.zeros(len(FREE_NAMES))
+    rest = {n: float(p.value(0.0)) for n, p in PRIORS.items() if n not in CONCENTRATIONS}
+    rest |= known or {}
+    z = np.array([PRIORS[n].standard(rest[n]) if n in rest else 0.0 for n in FREE_NAMES])
     medians = [PRIORS[name].value(0.0) for name in ("abl_eumelanin", "stroma_eumelanin")]
     # Logarithms of the eumelanins, and of the ratios.
     found = [jnp.log(jnp.asarray(v, float)) for v in (medians, [_PHEOMELANIN_PER_EUMELANIN] * 2)]
     taken, ended = 0, True
     for stage in (0, 1):
         parts = found[stage], found[1 - stage]
-        found[stage], count, result = _downhill(*parts, windows, base, stage == 0)
+        held = windows, base, {n: jnp.asarray(v) for n, v in rest.items()}
+        found[stage], count, result = _downhill(*parts, *held, stage == 0, max_steps)
         taken, ended = taken + int(count), ended and bool(result)
         values = _four(*found)
         z[:4] = [PRIORS[name].standard(values[name]) for name in CONCENTRATIONS]
@@ -415,16 +430,14 @@ def _four(eumelanin, ratios):
 
 
 @eqx.filter_jit
-def _downhill(start, held, windows, base, eumelanin: bool):
-    rest = {n: p.value(jnp.zeros(())) for n, p in PRIORS.items() if n not in CONCENTRATIONS}
-
+def _downhill(start, held, windows, base, rest, eumelanin: bool, max_steps: int):
     def cost(x, _):
         four = _four(x, held) if eumelanin else _four(held, x)
         off, _ = _off({**four, **rest}, windows, base)
         return (off**2).mean(where=windows.present[:, None])
 
     found = optx.minimise(
-        cost, optx.NelderMead(1e-4, 1e-6), start, max_steps=_STEPS[1], throw=False
+        cost, optx.NelderMead(1e-4, 1e-6), start, max_steps=max_steps, throw=False
     )
     return found.value, found.stats["num_steps"], found.result == optx.RESULTS.successful
 

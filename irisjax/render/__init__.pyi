@@ -10,3 +10,4 @@ from .picture import shade as shade
 from .picture import texture as texture
 from .project import look as look
 from .single_scattering import SingleScattering as SingleScattering
+from .single_scattering import TabulatedSingleScattering as TabulatedSingleScattering

@@ -4,7 +4,8 @@ ready to be summed over lights.
 The caustic is grazing light that the cornea folds onto itself. F09 adds rays reflected inside the
 cornea. With F09's own cornea there are none: a ray goes on at most 46.6° from the normal (total
 reflection's angle), so that it meets the conicoid again 0.3 mm or more behind the limbus, where the
-cornea has ended. The caustic is made by refraction alone.
+cornea has ended. The caustic is made by refraction alone. Of other corneas `reflects_inside` says
+whether they have such rays, which are left out.
 """
 
 import dataclasses
@@ -122,6 +123,36 @@ def deciding(eye: Eye) -> Eye:
         "limbus_width": 1.0,
     }
     return eye.replace(cornea=cornea, sclera=None, **rims)
+
+
+def reflects_inside(eye: Eye) -> bool:
+    """Return whether light that enters the cornea, reflected once on its inside, reaches the iris.
+
+    That needs a limbus of 6 mm or more on F09's conicoid, or a sphere. Rays in one plane through
+    the axis are traced.
+    """
+    if eye.cornea is None:
+        return False
+    front, limbus = eye.cornea.anterior, float(eye.limbus_radius)
+    entry, bent = jnp.meshgrid(jnp.linspace(-limbus, limbus, 201), jnp.linspace(0, 1, 100)[:-1])
+    origin = jnp.stack([entry, 0 * entry, front.sagitta(entry)], -1)
+    inward = -front.normal(origin)
+    along = jnp.stack([-inward[..., 2], 0 * entry, inward[..., 0]], -1)  # to the other side
+    sine = bent / float(eye.aqueous_index)  # `bent` is that of the angle outside
+    outside, inside = (
+        s[..., None] * along + jnp.sqrt(1 - s * s)[..., None] * inward for s in (bent, sine)
+    )
+    length, met = front.intersect(origin, inside, far=True)
+    again = origin + length[..., None] * inside
+    normal = front.normal(again)
+    back = inside - 2 * (inside * normal).sum(-1, keepdims=True) * normal
+    depth = (float(eye.iris_depth) - again[..., 2]) / jnp.where(back[..., 2] > 0, back[..., 2], 1.0)
+    landing = again[..., 0] + depth * back[..., 0]
+    there = met & (outside[..., 2] > jnp.cos(LARGEST_POLAR)) & (back[..., 2] > 0)
+    there &= (jnp.abs(again[..., 0]) < limbus) & (
+        again[..., 2] < front.sagitta(eye.limbus_radius) + 1e-6
+    )
+    return bool((there & (depth > 0) & (jnp.abs(landing) < float(eye.iris_radius))).any())
 
 
 def near_light(

@@ -11,6 +11,7 @@ its way in is weakened by the column in which it is scattered alone, and relief 
 leaves the irradiance.
 """
 
+from types import SimpleNamespace
 from typing import Any
 
 import equinox as eqx
@@ -22,22 +23,31 @@ from jaxtyping import Array, Float
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import check_whole
-from irisjax.numerics.interpolation import polar_bilinear
+from irisjax.numerics.interpolation import chebyshev_nodes, polar_bilinear
 from irisjax.numerics.portions import pixelwise
 from irisjax.optics.conicoid import norm
 from irisjax.optics.phase import rayleigh
+from irisjax.render.angular import AngularFunctions, surface_indices
 from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
+from irisjax.render.polynomials import polynomials
 from irisjax.render.project import IrisPixels
+from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.shading import Front, flux_at, fluxes_of, normals, shares
 from irisjax.render.surfaces import IrisSurface
 from irisjax.tissue.iris import Iris
+from irisjax.tissue.layers import Layers
 from irisjax.tissue.maps import FRECKLE, Scales, Texture, texel_layers
 from irisjax.tissue.pigments import extinction
-from irisjax.transport.process import ILIT_2006, AbstractProcess
+from irisjax.transport.light import Light
+from irisjax.transport.process import DEPTH_RESOLVED, ILIT_2006, AbstractProcess
 from irisjax.transport.radiative.slab import mean_survival
+from irisjax.transport.solution import outcome
+from irisjax.transport.solver import AbstractSolver
+
+_LOWEST = 0.2  # cosine down to which a BRDF is tabulated
 
 
 class SingleScattering(AbstractIntegrator):
@@ -86,6 +96,62 @@ class SingleScattering(AbstractIntegrator):
             weights=bands.weights,
             n_steps=self.n_steps,
         )
+
+
+class TabulatedSingleScattering(RadiativeIntegrator):
+    """Integrator: one scattering in each texel's layers, tabulated as by `RadiativeIntegrator`.
+
+    It is what `SingleScattering` draws of a uniform iris, linear in the coefficients of its table,
+    so that pigments can be inferred with it.
+    """
+
+    angular: tuple[int, int, int] = eqx.field(static=True, default=(6, 5, 4))
+    solver: AbstractSolver | None = eqx.field(default_factory=lambda: _Once())
+
+    def directions(self, iris: Iris, aqueous_index: Scalar) -> AngularFunctions:
+        index = surface_indices(iris, aqueous_index)[0]
+        return _Matched(indices=(index, index), degrees=self.angular)
+
+
+class _Matched(AngularFunctions):
+    """For layers of the chamber's index: their BRDF times the sum of both cosines is smooth from
+    `_LOWEST` on.
+    """
+
+    def inside(self, degree):
+        return _LOWEST + (1 - _LOWEST) * jnp.asarray((chebyshev_nodes(degree + 1) + 1) / 2)
+
+    def crossing(self, cosine, degree):
+        held = jnp.maximum(cosine, _LOWEST)
+        rows = polynomials(2 * (held - _LOWEST) / (1 - _LOWEST) - 1, degree + 1)
+        return held, rows, jnp.ones_like(held)
+
+    def functions(self, cos_incidence, cos_exit, across):
+        return super().functions(cos_incidence, cos_exit, across) / (cos_incidence + cos_exit)
+
+    def coefficients(self, brdf):
+        into, exits = self.nodes()[0]
+        return super().coefficients(brdf * (into[:, None] + exits.cosine)[..., None])
+
+
+class _Once(AbstractSolver):
+    """BRDF of layers that scatter once: p(α) μ_s h e^(−τ_A s) (1 − e^(−τ s))/(4π τ s μ_i μ_o) with
+    s = 1/μ_i + 1/μ_o and optical depths τ_A of the ABL and τ of the stroma.
+    """
+
+    process: AbstractProcess = eqx.field(static=True, default=DEPTH_RESOLVED)
+
+    def solve(self, layers: Layers, light: Light, *, key: Any = None) -> Any:
+        del key
+        into, exits = light.cosine, light.exits
+        assert into is not None
+        assert exits is not None
+        out, slant = exits.cosine, 1 / into + 1 / exits.cosine
+        across = jnp.sqrt((1 - into**2) * (1 - out**2)) * jnp.cos(exits.azimuth)
+        phase = rayleigh(across - into * out) / (4 * jnp.pi)
+        abl, stroma = (d[:, None] * slant for d in (layers.abl_absorption, layers.extinction))
+        lit = layers.stroma_scattering[:, None] * jnp.exp(-abl) * mean_survival(stroma)
+        return SimpleNamespace(brdf=lit * phase / (into * out), status=outcome(layers.valid()))
 
 
 class SceneData(eqx.Module):

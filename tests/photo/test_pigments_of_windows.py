@@ -87,6 +87,15 @@ def test_the_simplex_goes_down_stage_by_stage(windows):
     assert found.values["exposure"] == pytest.approx(1)
 
 
+def test_the_simplex_is_near_where_light_and_scattering_are_known(windows):
+    """F09's premises: all but the pigments at the values that the windows were made with."""
+    true = {n: float(v) for n, v in parameter_values(jnp.asarray(TRUE)).items()}
+    known = {n: v for n, v in true.items() if n not in CONCENTRATIONS}
+    found = simplex(windows, BASE, known)
+    assert {n: found.values[n] for n in known} == pytest.approx(known)
+    assert found.rms.mean() < 0.3 * simplex(windows, BASE).rms.mean()
+
+
 def _shown(z, windows, base):
     values = {name: jnp.asarray(v) for name, v in parameter_values(jnp.asarray(z)).items()}
     return np.asarray(_colours(values, windows, base))

@@ -9,7 +9,10 @@ import numpy as np
 import pytest
 
 from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.render.illumination import Illumination, gathered
+from irisjax.cli.render import left_out
+from irisjax.optics.conicoid import Conicoid
+from irisjax.render.illumination import Illumination, gathered, reflects_inside
+from irisjax.render.lights import Lights
 from irisjax.render.refraction import (
     UNIQUE_POLAR,
     RefractionFunction,
@@ -19,6 +22,8 @@ from irisjax.render.refraction import (
     on_cornea,
     window,
 )
+from irisjax.render.scene import Scene
+from irisjax.tissue.iris import Iris
 from render.tracing import disc, soft_edge, towards, trace
 
 DEFAULT, F09 = Eye(), Eye(cornea=Cornea.f09(), aqueous_index=1.376)
@@ -241,3 +246,20 @@ def test_single_precision(float32):
         found = _search(eye, jnp.asarray(rays.point[:, :2]), jnp.asarray(towards(polar)))
         assert found.flux.dtype == jnp.float32
         assert np.linalg.norm(np.asarray(found.entry) - k, axis=1)[seen].max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("cornea", "limbus", "said"),
+    [
+        (Cornea.f09(), 5.5, False),  # none of 2.2 million rays traced apart from this package
+        (Cornea(), 5.5, False),
+        (Cornea.f09(), 6.5, True),
+        (Cornea(Conicoid(7.8, 1.0), posterior=None), 5.5, True),  # L03's
+    ],
+)
+def test_light_reflected_inside_the_cornea_is_noticed(cornea, limbus, said):
+    eye = Eye(cornea=cornea, aqueous_index=1.376, limbus_radius=limbus, sclera=None)
+    assert reflects_inside(eye) == said
+    for polar in (0.5, 2.0):
+        scene = Scene(Iris(), eye=eye, lights=Lights.distant(polar, 0.0))
+        assert (left_out(scene) is not None) == (said and polar > UNIQUE_POLAR)
