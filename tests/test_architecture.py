@@ -154,7 +154,18 @@ def test_every_import_is_declared():
     def undeclared(imports, *extras):
         return {n: f for n, f in imports.items() if n not in _declared(project, *extras)}
 
-    extras = "photo", "mesh", "view", "video", "raw", "heic", "instruments", "arviz", "cubes"
+    extras = (
+        "photo",
+        "mesh",
+        "view",
+        "video",
+        "raw",
+        "heic",
+        "instruments",
+        "arviz",
+        "cubes",
+        "cluster",
+    )
     assert undeclared(package, *extras) == {}
     assert undeclared(tests, "dev") == {}
     assert undeclared(everything, "dev", "bench") == {}

@@ -40,6 +40,7 @@ _EXTRAS = {
     "video": ("av",),
     "raw": ("rawpy",),
     "cubes": ("spectral", "xarray", "zarr"),
+    "cluster": ("dask", "distributed"),
 }
 """Extras of the package and the modules that they bring; an extra may bring another's too."""
 

@@ -12,7 +12,8 @@ import numpy as np
 import irisjax as ij
 from irisjax import io
 from irisjax.cli import report
-from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler, process_of
+from irisjax.cli.engine import Lost, Workers, each
+from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler, key_of, process_of
 from irisjax.cli.many import DOUBTFUL, FAILED, OK, EyeRow, EyeTable, csv_of
 from irisjax.cli.sentences import of_the_data, preference
 from irisjax.infer.fit import Fit, FitStatus, fit, words_for
@@ -31,6 +32,7 @@ from irisjax.io.measured import Measured
 from irisjax.transport.process import option_of
 
 _CHUNK = 64  # eyes a device at a time
+_PIECES, _MOST_CHUNKS = 32, 16  # of work for others: many for a fair share, each of a second or so
 _FIRST = ("eye", "status", "posterior", "warnings")
 _SUFFIXES = {f".{end}" for end in ("csv", "tsv", "txt", "asc", "dx", "jdx", "jcm", "rxt")} | {
     f".{end}" for end in ("sed", "sig", "trt", "ttt", "xlsx")
@@ -46,12 +48,13 @@ def many(
     model: Model,
     sampler: Sampler,
     results: FitResults,
+    workers: Workers,
 ) -> int:
     """Fit all eyes of a folder or table, by these options of `irisjax.problem`, into `fits.csv` of
-    the folder for results, beside covariances, or print the table. The exit status: 3 where an eye
-    failed.
+    the folder for results, beside covariances, or print the table; `workers` share the work. The
+    exit status: 3 where an eye failed.
     """
-    eyes, output = _eyes(source, measured.reading), results.output
+    eyes, output, resume = _eyes(source, measured.reading), results.output, results.resume
     if not eyes:
         raise ValueError(f"{source}: no spectra in it")
     if results.posteriors and output is None:
@@ -66,28 +69,45 @@ def many(
         sampled = row["posterior"] == CONVERGED or not results.posteriors
         return sampled and row["eye"] in covariances
 
+    def beside() -> Mapping[Path, bytes]:
+        if target is None:
+            return {}
+        long = [list(r.values()) for n in eyes for r in covariances.get(n, ())]
+        return {covariances_beside(target): csv_of([COVARIANCES, *long]).encode()}
+
     table.begin(results.resume, results.overwrite, done)
-    seen = measured.seen
-    left = {name: eyes[name] for name in table.left()}
+    table.beside = beside
+    left, seen = set(table.left()), measured.seen
+
+    def options_of(chunk: Eyes) -> dict[str, Any]:
+        headers = [m.header for m in chunk.values() if isinstance(m, Measured)]
+        return {"noise": measured.noise, **model.stated(headers)}
+
     with table.progress() as bar:
-        for chunk in _chunks(left):
-            headers = [m.header for m in chunk.values() if isinstance(m, Measured)]
-            options = {"noise": measured.noise, **model.stated(headers)}
-            found, more = _fitted(chunk, seen, options, sampler.key)
-            for name, row in found.items():
-                if output is not None and results.posteriors and row["status"] != FAILED:
-                    one = ij.spectrum(chunk[name], name=name, **seen)
-                    problem = ij.problem(one, **options)
-                    row |= _sampled(problem, output / name, sampler, results.resume)
-            covariances |= more
-            beside = {}
-            if target is not None:
-                long = [list(r.values()) for n in eyes for r in covariances.get(n, ())]
-                text = csv_of([COVARIANCES, *long])
-                beside[covariances_beside(target)] = text.encode()
-            table.add(found, beside)  # each chunk whole
+        # A chunk is fitted whole, so that its numbers are those of a run that never stopped.
+        chunks = [(chunk, options_of(chunk)) for chunk in _chunks(eyes) if left & set(chunk)]
+        some = min(_MOST_CHUNKS, -(-len(chunks) // _PIECES)) if workers.elsewhere else 1
+        pieces = [chunks[i : i + some] for i in range(0, len(chunks), some)]
+        fits = {i: (piece, seen, sampler.seed) for i, piece in enumerate(pieces)}
+        for i, found in each(_fitted, fits, workers):
+            names = [n for chunk, _ in pieces[i] for n in chunk if n in left]
+            lost = isinstance(found, Lost)
+            rows, more = ({n: _row(n, FAILED, "", found.why) for n in names}, {}) if lost else found
+            covariances |= {n: more[n] for n in names if n in more}
+            table.add({n: rows[n] for n in names})
             bar.set_description("eyes", refresh=False)
-            bar.update(len(chunk))
+            bar.update(sum(not results.posteriors or rows[n]["status"] == FAILED for n in names))
+        if output is not None and results.posteriors:
+            sampled = {
+                n: ({n: eyes[n]}, seen, options_of({n: eyes[n]}), output / n, sampler, resume)
+                for n in eyes
+                if n in left and table.rows[n]["status"] != FAILED
+            }
+            for n, found in each(_sampled, sampled, workers):
+                lost = isinstance(found, Lost)
+                changed = {"status": FAILED, "warnings": found.why} if lost else found
+                table.add({n: table.rows[n] | changed})
+                bar.update()
     return table.conclude()
 
 
@@ -126,9 +146,21 @@ def _row(*cells: str) -> EyeRow:
 
 
 def _fitted(
-    chunk: Eyes, seen: Mapping[str, Any], options: Mapping[str, Any], key: jax.Array
+    chunks: list[tuple[Eyes, dict[str, Any]]], seen: Mapping[str, Any], seed: int
 ) -> tuple[dict[str, EyeRow], dict[str, list[EyeRow]]]:
     """Rows of eyes, and of the covariances of those that can be fitted."""
+    rows, covariances = {}, {}
+    for chunk, options in chunks:
+        found, more = _fitted_chunk(chunk, seen, options, key_of(seed))
+        rows |= found
+        covariances |= more
+    return rows, covariances
+
+
+def _fitted_chunk(
+    chunk: Eyes, seen: Mapping[str, Any], options: Mapping[str, Any], key: jax.Array
+) -> tuple[dict[str, EyeRow], dict[str, list[EyeRow]]]:
+    """The same of eyes on one grid."""
     spectra = [m for m in chunk.values() if isinstance(m, Measured)]
     if not spectra:
         return {name: _row(name, FAILED, "", str(fault)) for name, fault in chunk.items()}, {}
@@ -231,8 +263,17 @@ def _judged(problem: Problem, found: Fit) -> tuple[str, list[str]]:
     return (DOUBTFUL if said else OK), said
 
 
-def _sampled(problem: Problem, folder: Path, sampler: Sampler, resume: bool) -> EyeRow:
+def _sampled(
+    eye: Eyes,
+    seen: Mapping[str, Any],
+    options: Mapping[str, Any],
+    folder: Path,
+    sampler: Sampler,
+    resume: bool,
+) -> EyeRow:
     """Sample the posterior of an eye; what that changes in its row."""
+    ((name, measured),) = eye.items()
+    problem = ij.problem(ij.spectrum(measured, name=name, **seen), **options)
     folder.mkdir(exist_ok=True)
     chain = folder / "chain.h5"
     if chain.exists() and not resume:

@@ -15,6 +15,7 @@ from irisjax import io
 from irisjax._types import PRNGKey
 from irisjax.cli import options as opt
 from irisjax.cli.compiled import kept_tables
+from irisjax.cli.engine import Workers
 from irisjax.cli.files import check_folder
 from irisjax.cli.scenes import lamps, outline_of
 from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
@@ -188,7 +189,9 @@ class CloneRun(NamedTuple):
 
 
 @opt.grouped
-def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResults) -> None:
+def clone_command(
+    picture: ClonePicture, model: CloneModel, results: CloneResults, workers: Workers
+) -> None:
     """Clone an iris from a photograph: outlines, the iris laid flat, thickness, pigments.
 
     For example: irisjax clone eye.jpg -o clone_eye
@@ -202,6 +205,7 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
     if (picture.photograph is None) == (results.batch is None):
         ways = "the PHOTO of an eye, or --batch with a folder of photographs"
         raise ValueError(f"give {ways}{'' if results.batch is None else ', not both'}")
+    workers.check(results.batch)
     if results.colour and "stop_after" in results.typed:
         raise ValueError("--colour does not go with --stop-after: it needs the outlines only")
     wanted = _stages(results)
@@ -209,7 +213,8 @@ def clone_command(picture: ClonePicture, model: CloneModel, results: CloneResult
         from irisjax.cli import clones
 
         with beside() if "pigments" in wanted else nullcontext(here) as draw:
-            raise typer.Exit(clones.clone_many(results.batch, picture, model, results, draw))
+            made = clones.clone_many(results.batch, picture, model, results, draw, workers)
+            raise typer.Exit(made)
     assert picture.photograph is not None
     what = "an eye's colours" if results.colour else "a clone"
     check_folder(results.output, results.summary, what, results.overwrite)

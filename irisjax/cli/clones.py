@@ -17,6 +17,7 @@ from irisjax.cli.clone import (
     pigments_withheld,
     run_clone,
 )
+from irisjax.cli.engine import Lost, Workers, each, fault_of
 from irisjax.cli.many import DOUBTFUL, FAILED, OK, EyeRow, EyeTable
 from irisjax.cli.options import dashed
 from irisjax.io.camera import RAW
@@ -26,7 +27,7 @@ from irisjax.io.photographs import HEIF, PHOTOGRAPHS
 from irisjax.photo import clone as cloning
 from irisjax.photo.eye_colour import EyeColour, colours_of
 from irisjax.photo.pigments import CONCENTRATIONS
-from irisjax.plot.beside import Later
+from irisjax.plot.beside import Later, here
 
 _FIRST = ("file", "status", "doubts")
 _OF_ONE = "limbus", "pupil", "second", "maps", "freckles", "visible"  # options of one photograph
@@ -39,9 +40,11 @@ def clone_many(
     model: CloneModel,
     results: CloneResults,
     draw: Callable[..., Later],
+    workers: Workers,
 ) -> int:
     """Clone all photographs of a folder or pattern, or measure their colours, each into a folder of
-    its own, with `clones.csv` and a contact sheet. The exit status: 3 where one failed.
+    its own, with `clones.csv` and a contact sheet; `workers` share the work. The exit status: 3
+    where one failed.
     """
     if typed := [dashed(name) for name in _OF_ONE if name in picture.typed]:
         raise ValueError(f"--batch does not go with {', '.join(typed)}: they are of one photograph")
@@ -55,29 +58,44 @@ def clone_many(
         return folder is not None and (folder / results.summary).exists()
 
     table.begin(results.resume, results.overwrite, done)
+    shared = None if workers.elsewhere else draw  # what draws beside this process stays with it
+    pieces = {
+        name: (photographs[name], picture, model, results, folders[name], shared)
+        for name in table.left()
+    }
     with table.progress() as bar:
-        for name in table.left():
-            bar.set_description(name)
-            (folders[name] / results.summary).unlink(missing_ok=True)  # it is not done
-            one = dataclasses.replace(picture, photograph=photographs[name])
-            try:
-                made = run_clone(photographs[name], one, model, results, folders[name], draw, True)
-                row = _row(name, made, jax.random.key(model.seed))
-            except Exception as error:
-                # A fault of one photograph, even of the program, must not end a night's run. The
-                # row tells it; IRISJAX_DEBUG raises it.
-                known = isinstance(error, ValueError | OSError)
-                if os.environ.get("IRISJAX_DEBUG") and not known:
-                    raise
-                said = f"{error}" if known else f"internal error: {type(error).__name__}: {error}"
-                row = _first(name, FAILED, said)
+        for name, found in each(_cloned, pieces, workers):
+            row = _first(name, FAILED, found.why) if isinstance(found, Lost) else found
             table.add({name: row})
+            bar.set_description("photographs", refresh=False)
             bar.update()
     labels = {f"{name}: {table.rows[name]['status']}": folders[name] for name in photographs}
     shown = {words: _picture_in(folder) for words, folder in labels.items()}
     io.write_together({results.output / CONTACT_SHEET: encode_contact_sheet(shown)})
     print(f"written: {target}, {results.output / CONTACT_SHEET}")
     return table.conclude()
+
+
+def _cloned(
+    path: Path,
+    picture: ClonePicture,
+    model: CloneModel,
+    results: CloneResults,
+    folder: Path,
+    draw: Callable[..., Later] | None,
+) -> EyeRow:
+    """Clone a photograph; its row."""
+    (folder / results.summary).unlink(missing_ok=True)  # it is not done
+    one = dataclasses.replace(picture, photograph=path)
+    try:
+        made = run_clone(path, one, model, results, folder, draw or here, True)
+        return _row(path.name, made, jax.random.key(model.seed))
+    except Exception as error:
+        # A fault of one photograph, even of the program, must not end a night's run. The row tells
+        # it; IRISJAX_DEBUG raises it.
+        if os.environ.get("IRISJAX_DEBUG") and not isinstance(error, ValueError | OSError):
+            raise
+        return _first(path.name, FAILED, fault_of(error))
 
 
 def _photographs(source: Path) -> dict[str, Path]:

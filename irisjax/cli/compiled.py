@@ -10,6 +10,7 @@ are pickles: whoever may write to their folder may run code as its user, as with
 import functools
 import hashlib
 import importlib.metadata
+import io
 import os
 import pickle
 import platform
@@ -173,7 +174,7 @@ class Kept:
             return None
         seen = [(shape, str(dtype), weak) for shape, dtype, weak in types]
         try:
-            words = pickle.dumps([self._name, form, seen, _settings(), _machine()], protocol=5)
+            words = _canonical([self._name, form, seen, _settings(), _machine()])
         except Exception:  # an object without a pickle may raise anything
             return None
         path = place / hashlib.sha256(words).hexdigest()
@@ -238,6 +239,15 @@ def _compiler_options() -> dict[str, Any] | None:
     known = importlib.metadata.version("jaxlib").startswith("0.10.")
     on_cpu = known and jax.default_backend() == "cpu"
     return {"xla_cpu_use_fusion_emitters": False} if on_cpu else None
+
+
+def _canonical(value: object) -> bytes:
+    """A pickle that does not depend on which equal parts are one object, as a worker's are not."""
+    out = io.BytesIO()
+    pickler = pickle.Pickler(out, protocol=5)
+    pickler.fast = True
+    pickler.dump(value)
+    return out.getvalue()
 
 
 def _is_array(x: object) -> bool:

@@ -6,6 +6,7 @@ import typer
 
 import irisjax as ij
 from irisjax import io
+from irisjax.cli.engine import Workers
 from irisjax.cli.files import check_folder
 from irisjax.cli.fit_options import EPILOG as EPILOG
 from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler
@@ -19,7 +20,11 @@ _NOT_CONVERGED = 3
 
 @grouped
 def fit_command(
-    measured: Measurements, model: Model, sampler: Sampler, results: FitResults
+    measured: Measurements,
+    model: Model,
+    sampler: Sampler,
+    results: FitResults,
+    workers: Workers,
 ) -> None:
     """Infer the pigments of an iris from its measured spectrum, with credible intervals.
 
@@ -36,6 +41,7 @@ def fit_command(
     from irisjax.infer.posterior import check_run
 
     spectra, folder = measured.spectra or [], results.output
+    workers.check(results.batch)
     if bool(spectra) == (results.batch is not None):
         raise ValueError(
             "give the SPECTRUM of an eye, or --batch with a folder or a CSV of many eyes"
@@ -50,7 +56,7 @@ def fit_command(
     if model.separate is not None and len(spectra) < 2:
         raise ValueError("--separate needs two or more spectra of one eye")
     if results.batch is not None:
-        raise typer.Exit(batch.many(results.batch, measured, model, sampler, results))
+        raise typer.Exit(batch.many(results.batch, measured, model, sampler, results, workers))
     seen = measured.seen
     observations, headers = [], []
     for path in spectra:

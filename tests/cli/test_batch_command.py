@@ -100,7 +100,8 @@ def check_batch(irisjax, eye, tmp_path, rel, status_of_all):
 
 def test_batch(irisjax, eye, searched, tmp_path):
     check_batch(irisjax, eye, tmp_path, 1e-5, "ok")
-    assert searched == [3, 3, 1, 1, 2, 2]  # by either process
+    # By either process. A chunk is fitted whole again: the numbers of a run that never stopped.
+    assert searched == [3, 3, 4, 4, 2, 2]
 
 
 @pytest.mark.slow  # the search of a batch compiles for half a minute

@@ -1,0 +1,166 @@
+"""Pieces of a batch's work: done one after the other in this process, or by dask.distributed in
+worker processes of this machine or of a cluster.
+
+Results do not depend on where a piece is done, nor on how often: a piece whose worker or scheduler
+dies is done again.
+"""
+
+import logging
+import sys
+import time
+from collections.abc import Callable, Hashable, Iterator, Mapping
+from concurrent.futures import CancelledError
+from contextlib import contextmanager
+from importlib import import_module
+from typing import Any, NamedTuple, TypeVar
+
+from irisjax.cli import options as opt
+from irisjax.numerics.checks import Range
+
+_Key = TypeVar("_Key", bound=Hashable)
+
+_PIECES_AHEAD = 4  # for each core of the workers: none of these waits, and a scheduler has few
+_PATIENCE = 120  # seconds in which a lost scheduler may come back
+_CONNECTING = 10  # seconds in which one must answer at first
+
+
+class Workers(opt.Group, panel="Workers"):
+    workers: int | None = opt.whole(
+        "with --batch: processes of this machine among which eyes are dealt, {}", Range(1, 512)
+    )
+    scheduler: str | None = opt.option(
+        "with --batch: address of a dask.distributed scheduler, among whose workers eyes are dealt",
+        metavar="ADDRESS",
+    )
+
+    def check(self, batch: object) -> None:
+        """Raise `ValueError` for options that mean nothing beside the others."""
+        if self.workers is not None and self.scheduler is not None:
+            raise ValueError("--workers starts processes here, --scheduler uses others: give one")
+        if batch is None and (self.workers or self.scheduler):
+            name = "--workers" if self.workers else "--scheduler"
+            raise ValueError(f"{name} means something only with --batch")
+
+    @property
+    def elsewhere(self) -> bool:
+        """Whether the work is done in other processes."""
+        return self.workers is not None or self.scheduler is not None
+
+
+class Lost(NamedTuple):
+    """A piece that has no result.
+
+    Attributes:
+        why: What went wrong with it, in one line.
+    """
+
+    why: str
+
+
+def each(
+    function: Callable[..., Any], pieces: Mapping[_Key, tuple[Any, ...]], workers: Workers
+) -> Iterator[tuple[_Key, Any]]:
+    """Yield names of pieces and what a module's `function` returns for their arguments, in the
+    order in which they are done.
+
+    In other processes an exception of one piece is its result, as `Lost`; here it is raised.
+    """
+    if not workers.elsewhere:
+        for name, arguments in pieces.items():
+            yield name, function(*arguments)
+        return
+    left, since = dict(pieces), None
+    with _scheduler_of(workers) as (address, shares):
+        while left:
+            done = len(left)
+            with _connected(address, _CONNECTING if since is None else _PATIENCE) as client:
+                client.register_plugin(import_module("irisjax.cli.worker").Ready(shares))
+                yield from _until_lost(client, function, left)
+            if left:  # the scheduler is gone, or has forgotten
+                lost = time.monotonic()
+                since = lost if since is None or len(left) < done else since
+                if lost - since > _PATIENCE:
+                    raise ValueError(f"{address}: the scheduler is lost; --resume continues")
+                time.sleep(0.5)
+
+
+def _until_lost(
+    client: Any, function: Callable[..., Any], left: dict[_Key, tuple[Any, ...]]
+) -> Iterator[tuple[_Key, Any]]:
+    """Take pieces from those that are left until none is, or the scheduler has lost them."""
+    waiting = iter(list(left.items()))
+    names: dict[Any, _Key] = {}
+    finished = import_module("distributed").as_completed(loop=client.loop)
+
+    def submit() -> None:
+        ahead = _PIECES_AHEAD * max(1, sum(client.ncores().values()))
+        while len(names) < ahead and (piece := next(waiting, None)) is not None:
+            future = client.submit(function, *piece[1], pure=False)
+            names[future] = piece[0]
+            finished.add(future)
+
+    try:
+        submit()
+        for future in finished:
+            name = names.pop(future)
+            if future.status not in ("finished", "error"):
+                return
+            error = future.exception() if future.status == "error" else None
+            result = future.result() if error is None else Lost(fault_of(error))
+            del left[name]
+            yield name, result
+            submit()
+    except (OSError, RuntimeError, TimeoutError, CancelledError):
+        if client.status == "running":
+            raise  # no fault of the connection
+
+
+@contextmanager
+def _scheduler_of(workers: Workers) -> Iterator[tuple[str, int | None]]:
+    """A scheduler's address, and among how many workers this machine's cores are shared."""
+    if workers.scheduler is not None:
+        yield workers.scheduler, None
+        return
+    # After Ctrl-C Python would add lines of its own about what the workers' pipes leave behind.
+    sys.warnoptions.append("ignore::UserWarning:multiprocessing.resource_tracker")
+    cluster: Any = import_module("distributed").LocalCluster(
+        n_workers=workers.workers,
+        threads_per_worker=1,
+        processes=True,
+        memory_limit=0,
+        dashboard_address=None,
+        silence_logs=logging.CRITICAL,
+    )
+    with cluster:
+        yield cluster.scheduler_address, workers.workers
+
+
+@contextmanager
+def _connected(address: str, patience: float) -> Iterator[Any]:
+    """A client of a scheduler that answers in time."""
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # we say what there is to say
+    begin, client, distributed = time.monotonic(), None, import_module("distributed")
+    while client is None:
+        try:
+            client = distributed.Client(address, timeout=_CONNECTING, set_as_default=False)
+        except (OSError, ValueError) as error:
+            if isinstance(error, ValueError) or time.monotonic() - begin > patience:
+                why = "no dask scheduler answers there; write such as tcp://10.0.0.1:8786"
+                raise ValueError(f"--scheduler {address}: {why}") from None
+            time.sleep(0.5)
+    try:
+        if not client.ncores():
+            opt.tell(f"{address}: the scheduler has no workers yet; waiting for one")
+        yield client
+    finally:
+        client.close(timeout=2)
+
+
+def fault_of(error: BaseException) -> str:
+    """Return what is wrong with an eye, in a line."""
+    words = " ".join(str(error).split())
+    if isinstance(error, ValueError | OSError):
+        return words
+    if type(error).__name__ == "KilledWorker":  # dask's, which is not always installed
+        return "the worker died on it several times (has it enough memory?)"
+    return f"internal error: {type(error).__name__}: {words}"
