@@ -134,7 +134,7 @@ def map_command(
         starts = fitting.prior_starts(problem, pool.map)
         if math.prod(source.cube.shape[:2]) > 4 * _SAMPLE:
             found = fitting.fit_pixels(problem, sample, starts, pool.map)
-            starts = Starts(found.z, found.predicted)
+            starts = fitting.starts_at(problem, found.z, pool.map)
         with _new_folder(folder), replacing(folder / "maps.nc") as made:
             counts = _written(made, source, problem, starts, measured, pool)
             _draw(made, folder, problem, outlines)
@@ -349,16 +349,20 @@ def _for_renderers(
     """The maps between pupil and limbus as polar textures, and a scene of them."""
     pupil, limbus = outlines
     step = max(1, math.ceil(limbus.mean_radius / _RADIUS))
-    good = (flags[::step, ::step] & ~(PixelFlag.OFF_PRIOR | PixelFlag.MISFIT)) == 0
+    middle, reach = np.flip(limbus.centre), max(limbus.semi_axes) + 1
+    low, high = (np.clip((middle + d) / step, 0, None).astype(int) for d in (-reach, reach))
+    box = np.s_[low[0] : high[0] + 2, low[1] : high[1] + 2]
+    good = (flags[::step, ::step][box] & ~(PixelFlag.OFF_PRIOR | PixelFlag.MISFIT)) == 0
     free = [n for n in problem.free if not n.startswith("noise")]
     values = {n: np.asarray(v) for n, v in problem.fixed.items() if n != "noise"}
-    values |= {n: read_map(made, n, step).astype(float) for n in free}
+    values |= {n: read_map(made, n, step)[box].astype(float) for n in free}
     iris = fitting.iris_of_pixels(values, problem.base, good)
     across = limbus.mean_radius - pupil.mean_radius
     shape = max(64, round(2 * math.pi * limbus.mean_radius / step)), max(16, round(across / step))
     angle, radius = (np.asarray(x) for x in cell_centres(shape))
     ends = [o.points(angle - o.angle)[:, None] for o in outlines]
     column, row = np.moveaxis(ends[0] + (ends[1] - ends[0]) * radius[:, None], -1, 0) / step
+    column, row = column - low[1], row - low[0]
     near: Any = distance_transform_edt(~good, return_distances=False, return_indices=True)
     texels = {
         n: np.full(shape, v) if v.ndim == 0

@@ -26,6 +26,7 @@ from .pixels import iris_of_pixels as iris_of_pixels
 from .pixels import maps_of_pixels as maps_of_pixels
 from .pixels import predict_pixels as predict_pixels
 from .pixels import prior_starts as prior_starts
+from .pixels import starts_at as starts_at
 from .populations import Population as Population
 from .populations import population as population
 from .posterior import Chains as Chains

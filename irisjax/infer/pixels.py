@@ -1,9 +1,11 @@
 """Least squares for every pixel of a hyperspectral cube, and the iris that its maps describe.
 
-A pixel is fitted by `fit` from one start: the nearest spectrum of a table, which contains draws of
-the priors, or fits of pixels spread over the cube. Pixels go through one program of a fixed size,
-so that each result depends on its own spectrum and the table alone. The steps of a search are few
-there; pixels that need more are gathered and go through it again.
+A pixel is fitted by `fit` from one start. It comes from the nearest spectrum of a table, which
+contains draws of the priors or fits of pixels spread over the cube, by a few Gauss–Newton steps
+with the derivatives of that spectrum, which cost a sixth of steps with derivatives of their own.
+Pixels go through programs of a fixed size, so that each result depends on its own spectrum and the
+table alone. The steps of a search are few there; pixels that need more are gathered and go through
+it again.
 """
 
 import enum
@@ -26,6 +28,7 @@ from irisjax.infer.least_squares import NORMAL_EQUATIONS
 from irisjax.infer.observation import with_values
 from irisjax.infer.parameters import kind
 from irisjax.infer.problem import Problem
+from irisjax.numerics import linear
 from irisjax.numerics.portions import by_rows
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
@@ -34,8 +37,11 @@ OFF_PRIOR = 4.0
 """Standard deviations of its prior beyond which a parameter is flagged."""
 
 _ROWS, _BATCH = 64, 32  # pixels of a call, and of a search in step: more leave the core's cache
-_STEPS, _ROUNDS = 6, 25  # of a search, and how often a pixel's search goes on
-_TOLERANCE = 1e-3  # of z and of residuals, whose standard deviations are about one
+_LINEAR_STEPS, _LONGEST = 3, 1.0  # with the derivatives of a table's spectrum, and their size in z
+_STEPS, _ROUNDS = 5, 40  # of a search, and how often a pixel's search goes on
+# Of z and of residuals, whose standard deviations are about one: what is left is below 0.04 of a
+# standard deviation for 99 pixels in 100, and 0.12 for all.
+_TOLERANCE = 1e-2
 _DRAWS = 2**12  # of the priors
 
 Each = Callable[..., Any]
@@ -54,10 +60,11 @@ class PixelFlag(enum.IntFlag):
 
 
 class Starts(NamedTuple):
-    """Vectors z of the free parameters, and the spectra that they predict."""
+    """Vectors z of the free parameters, the spectra that they predict, and their derivatives."""
 
     z: Float[np.ndarray, "starts free"]
     predicted: Float[np.ndarray, "starts data"]
+    slopes: Float[np.ndarray, "starts data free"]
 
 
 class PixelFits(NamedTuple):
@@ -105,7 +112,12 @@ def prior_starts(problem: Problem, each: Each = map) -> Starts:
     """Return even draws of the priors, with `noise` at its median."""
     draws = ndtri(qmc.Sobol(len(problem.free), scramble=False).random(_DRAWS) + 0.5 / _DRAWS)
     z = np.where([kind(n) == "noise" for n in problem.free], 0.0, draws)
-    return Starts(z, by_rows(partial(_predicted, problem.unnamed()), z, _ROWS, each))
+    return starts_at(problem, z, each)
+
+
+def starts_at(problem: Problem, z: Float[np.ndarray, "starts free"], each: Each = map) -> Starts:
+    """Return the starts at some vectors z, such as those of fits."""
+    return Starts(z, *by_rows(partial(_linearised, problem.unnamed()), z, _ROWS, each))
 
 
 def fit_pixels(
@@ -121,7 +133,8 @@ def fit_pixels(
     """
     problem, dtype = problem.unnamed(), jnp.result_type(float)
     values = np.asarray(values, dtype)
-    z = by_rows(lambda some: _nearest(problem, starts, some), values, _ROWS, each)
+    table = jax.tree.map(lambda x: jnp.asarray(x, dtype), starts)
+    z = by_rows(lambda some: _started(problem, table, some), values, _ROWS, each)
     run = partial(_fitted, problem)
     found = by_rows(run, (values, z), _ROWS, each)
     for _ in range(_ROUNDS):
@@ -194,14 +207,43 @@ def _predicted(problem: Problem, z: Any) -> Any:
 
 
 @eqx.filter_jit
-def _nearest(problem: Problem, starts: Starts, values: Any) -> Any:
-    """The start of each pixel: that of the lowest cost, its prior included."""
+def _linearised(problem: Problem, z: Any) -> Any:
+    def one(x):
+        return problem.predict(x)[0], jax.jacfwd(lambda x: problem.predict(x)[0])(x)
+
+    return jax.lax.map(one, z, batch_size=_BATCH)
+
+
+@eqx.filter_jit
+def _started(problem: Problem, starts: Starts, values: Any) -> Any:
+    """The start of each pixel: the best of the nearest of a table and what follows from it."""
     o = problem.observations[0]
     sd = jax.vmap(lambda v: problem.noise.stated(with_values(o, v), v))(values)
-    weights, table = 1 / sd**2, jnp.asarray(starts.predicted, values.dtype)
-    z = jnp.asarray(starts.z, values.dtype)
-    cost = weights @ (table * table).T - 2 * (weights * values) @ table.T + (z * z).sum(1)
-    return z[jnp.argmin(cost, axis=1)]
+    weights, table = 1 / sd**2, starts.predicted
+    costs = weights @ (table * table).T - 2 * (weights * values) @ table.T
+    nearest = jnp.argmin(costs + (starts.z * starts.z).sum(1), axis=1)
+
+    def one(row):
+        v, sd, k = row
+        slopes, z = starts.slopes[k] / sd[:, None], starts.z[k]
+        gram = slopes.T @ slopes + jnp.eye(z.size, dtype=z.dtype)
+
+        def cost(z, predicted):
+            return ((v - predicted) ** 2 / sd**2).sum() + (z * z).sum()
+
+        def step(state, _):
+            z, predicted, best, lowest = state
+            move = linear.solve(gram, slopes.T @ ((v - predicted) / sd) - z)
+            z = z + jnp.clip(move, -_LONGEST, _LONGEST)
+            predicted = problem.predict(z)[0]
+            here = cost(z, predicted)
+            best, lowest = jnp.where(here < lowest, z, best), jnp.minimum(here, lowest)
+            return (z, predicted, best, lowest), None
+
+        first = z, starts.predicted[k], z, cost(z, starts.predicted[k])
+        return jax.lax.scan(step, first, length=_LINEAR_STEPS)[0][2]
+
+    return jax.lax.map(one, (values, sd, nearest), batch_size=_BATCH)
 
 
 @eqx.filter_jit

@@ -108,7 +108,7 @@ def test_a_coarse_level_gives_the_starts_of_large_cubes(irisjax, few_starts, tmp
         for folder, name in (("one", "hemoglobin"), ("two", "hemoglobin"), ("one", "hemoglobin_sd"))
     )
     flags = io.read_map(tmp_path / "one" / "maps.nc", "flag")
-    assert (np.abs(one - two) < 0.05 * sd)[flags == 0].all()
+    assert (np.abs(one - two) < 0.15 * sd)[flags == 0].all()
 
 
 @pytest.mark.parametrize(

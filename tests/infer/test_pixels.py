@@ -12,12 +12,12 @@ from irisjax.infer.fit import fit
 from irisjax.infer.observation import with_values
 from irisjax.infer.pixels import (
     PixelFlag,
-    Starts,
     fit_pixels,
     iris_of_pixels,
     maps_of_pixels,
     predict_pixels,
     prior_starts,
+    starts_at,
 )
 from irisjax.tissue.maps import Scales, texel_layers
 
@@ -52,9 +52,11 @@ def test_pixels_are_single_fits(problem, starts, spectra):
         names = FREE[:3]
         values, sd = (np.array([float(each[n]) for n in names]) for each in (one.values, one.sd))
         assert found.names == names
-        assert (np.abs(found.values[i] - values) < 0.02 * sd).all()
-        np.testing.assert_allclose(found.sd[i], sd, rtol=0.02)
-        assert found.chi_square[i] == pytest.approx(float(one.chi_square) / GRID.size, rel=5e-3)
+        assert (np.abs(found.values[i] - values) < 0.1 * sd).all()
+        np.testing.assert_allclose(found.sd[i], sd, rtol=0.05)
+        # The sum with the priors is at its minimum, its parts are not.
+        expected = float(one.chi_square) / GRID.size
+        assert found.chi_square[i] == pytest.approx(expected, abs=0.01)
     assert not found.flags.any()
 
 
@@ -64,8 +66,8 @@ def test_a_pixel_depends_on_its_own_spectrum_and_the_table(problem, starts, spec
         some = fit_pixels(problem, spectra[3:68], starts, pool.map)
     np.testing.assert_array_equal(some.values, found.values[3:68])
     np.testing.assert_array_equal(some.covariance, found.covariance[3:68])
-    again = fit_pixels(problem, spectra[:8], Starts(found.z, found.predicted))
-    np.testing.assert_allclose(again.z, found.z[:8], atol=2e-3)
+    again = fit_pixels(problem, spectra[:8], starts_at(problem, found.z))
+    assert (np.abs(again.values - found.values[:8]) < 0.15 * found.sd[:8]).all()
 
 
 def test_flags(problem, starts, spectra):
