@@ -9,7 +9,7 @@ import jax
 import irisjax as ij
 from irisjax import io
 from irisjax.cli import options as opt
-from irisjax.cli.light import bands_file, bands_told, bandwidth, crossing
+from irisjax.cli.light import aperture, bands_file, bands_told, bandwidth, crossing
 from irisjax.infer.observation import RADIANCE, REFLECTANCE
 from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
 from irisjax.infer.priors import AbstractPrior, prior_of
@@ -145,6 +145,7 @@ class Measurements(SpectralMeasurement):
     illuminant: str = opt.option(
         "of a radiance, by its name in colour-science", "D65", metavar="NAME"
     )
+    aperture: float | None = aperture()
 
     @property
     def noise(self) -> ij.Noise:
@@ -155,7 +156,7 @@ class Measurements(SpectralMeasurement):
     @property
     def seen(self) -> dict[str, Any]:
         """What `irisjax.spectrum` is told beside the numbers."""
-        names = ("illuminant", "cos_incidence", "first_surface")
+        names = ("illuminant", "cos_incidence", "first_surface", "aperture")
         quantity = RADIANCE if self.quantity == RADIANCE else REFLECTANCE
         lamp = self.illuminant if "illuminant" in self.typed else None
         return {

@@ -12,7 +12,7 @@ from irisjax import io
 from irisjax.anatomy import media
 from irisjax.cli import options as opt
 from irisjax.measure.colour import OBSERVER
-from irisjax.measure.instrument import GAIN, AbstractInstrument, Crossing
+from irisjax.measure.instrument import GAIN, NUMERICAL_APERTURE, AbstractInstrument, Crossing
 from irisjax.measure.passbands import BANDWIDTH, Passbands
 from irisjax.numerics.checks import Range
 from irisjax.tissue.pigments import check_covered, common_range
@@ -47,6 +47,15 @@ def bands_file() -> Any:
         "band's sensitivity beside the wavelengths"
     )
     return opt.option(words, metavar="FILE", parse=Path, overrules=("bandwidth",))
+
+
+def aperture() -> Any:
+    """The cone from which light is collected."""
+    words = (
+        "numerical aperture, in air, of the fibre or lens along the normal that collects the "
+        "light, {}; 0 for 45/0; default: all light sent back, as in a sphere"
+    )
+    return opt.number(words, NUMERICAL_APERTURE, metavar="NA")
 
 
 def bands_told(
@@ -128,6 +137,7 @@ class BandedLight(EyeLight):
 
     bandwidth: float | None = bandwidth()
     bands: Path | None = bands_file()
+    aperture: float | None = aperture()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -137,6 +147,8 @@ class BandedLight(EyeLight):
     def before_the_iris(self) -> dict[str, Any]:
         """Return what every instrument is told, the bands included."""
         found = super().before_the_iris()
+        if self.aperture is not None:
+            found["aperture"] = self.aperture
         told = bands_told(self.bandwidth, self.bands)
         return found if told is None else {**found, "bands": told}
 
@@ -160,6 +172,7 @@ class SpectrumLight(BandedLight):
         "illuminant": ("instrument", ("radiance",)),
         "bandwidth": ("instrument", PHOTOMETERS),
         "bands": ("instrument", PHOTOMETERS),
+        "aperture": ("instrument", ("reflectance",)),
         "first_surface": ("instrument", ("reflectance", "radiance", *POLARIMETERS)),
         "polariser_deg": ("instrument", POLARIMETERS),
         "exit_deg": ("instrument", POLARIMETERS),

@@ -69,6 +69,7 @@ def spectrum(
     cornea: Crossing | None = None,
     media: Media | None = None,
     bands: Passbands | float | None = None,
+    aperture: float | None = None,
     covariance: Any = None,
     boxcar: float | None = None,
     correlated: float | None = None,
@@ -91,6 +92,8 @@ def spectrum(
         media: Media before the iris.
         bands: What each value is the mean of: `Passbands`, or the full width at half maximum of a
             Gaussian slit, nm.
+        aperture: Numerical aperture of a fibre, or of a lens (0: along the normal, as 45°/0°), that
+            collects the light; `None` for all of it.
         covariance: Of the values' errors, (wavelengths, wavelengths), in place of `sd`.
         boxcar: Width, nm, of a moving average that made the values: each is the mean over that
             width, and their errors are correlated so far.
@@ -153,7 +156,7 @@ def spectrum(
         raise ValueError(f"quantity must be {REFLECTANCE!r} or {RADIANCE!r}, got {quantity!r}")
     settings: dict[str, Any] = {} if cornea is None else {"cornea": cornea}
     settings |= dict(cos_incidence=cos_incidence, first_surface=first_surface, media=media)
-    settings["bands"] = bands
+    settings |= dict(bands=bands, aperture=aperture)
     if quantity == RADIANCE:
         instrument = Radiometer(grid, illuminant=illuminant, **settings)
     else:

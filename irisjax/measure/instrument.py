@@ -25,6 +25,9 @@ R = TypeVar("R", bound=Reading)
 GAIN = Range(0, 1e6, meaning="factor of the instrument on every value", above=True)
 """Allowed gains."""
 
+NUMERICAL_APERTURE = Range(0, 1, meaning="numerical aperture in air of what collects the light")
+"""Allowed apertures."""
+
 
 class InstrumentSettings(TypedDict, total=False):
     """Settings that every instrument has, see `AbstractInstrument`."""
@@ -35,6 +38,7 @@ class InstrumentSettings(TypedDict, total=False):
     media: Media | None
     gain: Numbers
     bands: Passbands | float | None
+    aperture: Numbers | None
 
 
 class AbstractInstrument(eqx.Module):
@@ -53,6 +57,9 @@ class AbstractInstrument(eqx.Module):
             (`"round-trip"`, out along the normal, as to a camera in front of the eye), or not
             (`"none"`).
         first_surface: Whether light reflected by the iris's own surface is included.
+        aperture: Numerical aperture, in air, of what collects the light about the normal: a fibre
+            or a lens; 0 for light along the normal (45°/0°). `None` for all that is sent back, as a
+            sphere collects it.
 
     Raises:
         ValueError: For a setting out of range, with its value and what is allowed.
@@ -62,12 +69,15 @@ class AbstractInstrument(eqx.Module):
     """Whether the instrument needs a polarised process."""
     has_bands: ClassVar[bool] = False
     """Whether its values can be means over bands."""
+    has_aperture: ClassVar[bool] = False
+    """Whether it can collect light from a cone."""
 
     pigments: Extinction
     cos_incidence: Scalar | None
     media: Media
     gain: Scalar
     bands: Passbands | None
+    aperture: Scalar | None
     cornea: Crossing = eqx.field(static=True)
     first_surface: bool = eqx.field(static=True)
 
@@ -81,8 +91,16 @@ class AbstractInstrument(eqx.Module):
         media: Media | None = None,
         gain: Numbers = 1.0,
         bands: Passbands | float | None = None,
+        aperture: Numbers | None = None,
     ):
         check_wavelengths(wavelengths)
+        if aperture is not None:
+            if not self.has_aperture:
+                raise ValueError(f"a {type(self).__name__} has no aperture, got {aperture!r}")
+            if isinstance(cos_incidence, str):
+                why = "by reciprocity it reads what light along the normal gives in all directions"
+                raise ValueError(f"diffuse light and an aperture: {why}; give neither")
+            check_range("aperture", aperture, NUMERICAL_APERTURE)
         if bands is not None and not self.has_bands:
             raise ValueError(f"a {type(self).__name__} has no bands, got bands = {bands!r}")
         self.bands = bands_of(wavelengths, bands)
@@ -103,6 +121,7 @@ class AbstractInstrument(eqx.Module):
         self.media = Media.default() if media is None else media
         check_scalars(self.media, ("aqueous", "cornea", "tear"))
         self.gain = _number(gain, dtype)
+        self.aperture = None if aperture is None else _number(aperture, dtype)
         self.cornea, self.first_surface = cornea, first_surface
 
     @property

@@ -77,6 +77,9 @@ def prepared(iris: Iris, instrument: AbstractInstrument, solver: AbstractSolver)
     if instrument.polarised and not solver.process.polarised:
         to_do = "give solver=RadiativeExact(process=POLARISED)"
         raise ValueError(f"{type(instrument).__name__} sees polarisation; {to_do}")
+    if instrument.aperture is not None and isinstance(solver, MonteCarlo):
+        to_do = "whose photons are counted in wide cells of the cosine: give an exact solver"
+        raise ValueError(f"an aperture is not for MonteCarlo, {to_do}")
     if type(solver).prepare is AbstractSolver.prepare:
         return solver  # Layers take as long as a tenth of a spectrum.
     return solver.prepare(_layers(iris, instrument), instrument.incident()[1])

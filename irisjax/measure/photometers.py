@@ -23,14 +23,41 @@ from irisjax.transport.solver import AbstractSolver
 
 
 class Spectrophotometer(AbstractInstrument):
-    """An instrument that reads the share of the incident light that the iris sends back."""
+    """An instrument that reads the share of the incident light that the iris sends back.
 
-    has_bands = True
+    With an `aperture` it reads the reflectance factor in that cone, π⟨f⟩ of the BRDF f: 1 for a
+    white diffuser. The first surface's mirror reflection is then left out: a contact probe is
+    matched to the iris, and at 45°/0° it goes elsewhere. The spot is infinitely wide: what leaves a
+    small one sideways is not lost. Seen through the cornea (`"round-trip"`) radiance is divided by
+    the square of the aqueous humour's index.
+    """
+
+    has_bands = has_aperture = True
 
     def __init__(self, wavelengths: Numbers, **settings: Unpack[InstrumentSettings]):
         super().__init__(wavelengths, **settings)
 
+    @property
+    def exits(self) -> Directions | None:
+        if self.aperture is None:
+            return None
+        # Gauss's rule in sin², which a matt surface fills evenly, and the azimuth's for cos and
+        # cos 2φ: the mean of four directions.
+        sine = (self.aperture / self.media.aqueous) ** 2 * (
+            0.5 + np.array([-1, -1, 1, 1]) / 12**0.5
+        )
+        return Directions(jnp.sqrt(1 - sine), np.pi / 4 * np.array([1.0, 3, 1, 3]))
+
+    def counted(self, solution: Solution) -> tuple[Spectrum, Spectrum | None]:
+        if solution.brdf is None:
+            return super().counted(solution)
+        error = solution.brdf_error
+        error = None if error is None else jnp.pi / 4 * jnp.sqrt((error**2).sum(-1))
+        return jnp.pi * solution.brdf.mean(-1), error
+
     def reading(self, solution: Solution, factor: Scalar) -> Reading:
+        if self.aperture is not None and self.cornea == "round-trip":
+            factor = factor / self.media.aqueous**2  # invariance of radiance over n²
         return self.spectrum(solution, factor, factor * self.gain, "reflectance")
 
 

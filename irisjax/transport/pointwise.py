@@ -1,11 +1,13 @@
 """Derivatives at the price of three: a value depends on its own wavelength's depths only."""
 
+import dataclasses
 from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from irisjax._types import PRNGKey
 from irisjax.optics.mixture import PhaseMixture
@@ -38,24 +40,28 @@ class Pointwise(AbstractSolver):
         return self.solver.numbers_per_wavelength
 
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
-        if light.exits is not None:
-            raise ValueError("Pointwise solves for reflectances; a BRDF needs the solver itself")
+        if light.exits is not None and self.process.polarised:
+            raise ValueError("Pointwise has no polarised BRDF; it needs the solver itself")
         how = self.solver, layers.indices, light, key
         depths = layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering
         if deep := layers.ipe_absorption is not None:
             depths = (*depths, layers.ipe_absorption)
         if layers.phase is not None:
             depths = (*depths, layers.phase.rayleigh, layers.phase.anisotropy)
-        return _by_wavelength(partial(_solution, layers.order, deep), how, depths)
+        found, brdf = _by_wavelength(partial(_solution, layers.order, deep), how, depths)
+        return found if brdf is None else dataclasses.replace(found, brdf=brdf.T)
 
 
-def _solution(order: Order, deep: bool, how, depths) -> Solution:
+def _solution(order: Order, deep: bool, how, depths) -> tuple[Solution, Array | None]:
     solver, indices, light, key = how
     abl, stroma, scattering, *more = depths
     ipe = more.pop(0) if deep else None
     phase = PhaseMixture(*more) if more else None
     layers = Layers(abl, stroma, scattering, indices, order, phase, ipe)
-    return solver.solve(layers, light, key=key)
+    found = solver.solve(layers, light, key=key)
+    if found.brdf is None:
+        return found, None
+    return dataclasses.replace(found, brdf=None), found.brdf.T
 
 
 @eqx.filter_custom_jvp

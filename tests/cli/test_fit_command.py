@@ -145,6 +145,11 @@ def test_what_the_instrument_averages_is_stated(irisjax, eye, sampled, tmp_path)
     assert "are read as light of single wavelengths" in irisjax("fit", path, *FREE)[2]
     assert irisjax("fit", path, *FREE, "--cornea", "round-trip", "--no-first-surface")[0] == 0
     assert (seen().instrument.cornea, seen().instrument.first_surface) == ("round-trip", False)
+    assert irisjax("fit", path, *FREE, "--cos-incidence", "0.7", "--aperture", "0")[0] == 0
+    assert float(seen().instrument.aperture) == 0
+    said = "diffuse light and an aperture: by reciprocity"
+    diffuse = ("--aperture", "0.2", "--cos-incidence", "diffuse")
+    one_line(irisjax("fit", path, *FREE, *diffuse), said)
     both = irisjax("fit", path, "--bands", bands, "--bandwidth", "20")
     one_line(both, "--bandwidth or --bands, not both")
     bands.write_text("centre,fwhm\n450,20\n550,20\n")

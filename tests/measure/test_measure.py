@@ -234,3 +234,22 @@ def test_observers_and_illuminants_are_colour_sciences():
         np.testing.assert_array_equal(table[1:], theirs.values.T.reshape(len(table) - 1, -1))
     assert len(tables) == len(cs.SDS_ILLUMINANTS) + 4
     np.testing.assert_array_equal(colour._BRADFORD, cs.CHROMATIC_ADAPTATION_TRANSFORMS["Bradford"])
+
+
+def test_what_has_no_aperture():
+    for call, message in (
+        (lambda: ij.Radiometer(GRID, aperture=0.2), "a Radiometer has no aperture"),
+        (lambda: ij.Spectrophotometer(GRID, aperture=1.2), "aperture = 1.2"),
+        (
+            lambda: ij.Spectrophotometer(GRID, aperture=0.2, cos_incidence="diffuse"),
+            "diffuse light and an aperture: by reciprocity",
+        ),
+        (
+            lambda: ij.reflectance(
+                IRIS, GRID, aperture=0.2, solver=ij.MonteCarlo(10), key=jax.random.key(0)
+            ),
+            "an aperture is not for MonteCarlo",
+        ),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()

@@ -142,3 +142,28 @@ def test_bands_from_files(tmp_path):
     path.write_text("nm,infrared\n700,1\n900,1\n")
     with pytest.raises(ValueError, match=r"50 % of the band 'infrared' is outside 350 to 800 nm"):
         io.read_passbands(path)
+
+
+def test_light_collected_from_a_cone():
+    """A mean of the BRDF over the cone, the same in an inversion, dimmed by n² outside the eye."""
+    iris, exact = ij.Iris.of_level("moderate"), ij.RadiativeExact(16, 8)
+    seen = {"cos_incidence": 0.7, "aperture": 0.5}
+    read = np.asarray(ij.reflectance(iris, GRID, solver=exact, **seen).values)
+    sine2 = (np.arange(8) + 0.5) / 8 * (0.5 / 1.336) ** 2
+    cosine, azimuth = np.repeat(np.sqrt(1 - sine2), 6), np.tile(np.pi / 6 * (np.arange(6) + 0.5), 8)
+    f = ij.brdf(iris, GRID, cos_incidence=0.7, cos_exit=cosine, azimuth=azimuth, solver=exact)
+    np.testing.assert_allclose(read, np.pi * np.asarray(f.values).mean(1), rtol=5e-4)
+    problem = ij.problem(
+        ij.spectrum(GRID, read, **seen), base=iris, process=ij.DEPTH_RESOLVED, free=["melanin_load"]
+    )
+    z = problem.standard({"melanin_load": iris.melanin_load})
+    predict = jax.jit(lambda x: problem.predict(x)[0])
+    np.testing.assert_allclose(predict(z), read, rtol=1e-3)
+    slope = np.asarray(jax.jit(jax.jacfwd(predict))(z))[:, 0]
+    apart = (np.asarray(predict(z + 1e-4)) - np.asarray(predict(z - 1e-4))) / 2e-4
+    np.testing.assert_allclose(slope, apart, rtol=1e-4)
+    none, inward, both = (
+        np.asarray(ij.reflectance(iris, GRID, solver=FEW, aperture=0.0, cornea=crossing).values)
+        for crossing in ("none", "inward", "round-trip")
+    )
+    np.testing.assert_allclose(both / none, (inward / none) ** 2 / 1.336**2, rtol=1e-9)

@@ -8,7 +8,7 @@ along each exit is scored in closed form, reflections at both boundaries include
 import numpy as np
 
 
-def brdf(depths, indices, cos_incidence, cos_exit, azimuth, photons, seed):
+def brdf(depths, indices, cos_incidence, cos_exit, azimuth, photons, seed, spot=None):
     """BRDF (1/sr) and its standard error, each of shape (exits,).
 
     Args:
@@ -19,6 +19,8 @@ def brdf(depths, indices, cos_incidence, cos_exit, azimuth, photons, seed):
         azimuth: Azimuths of the exits from the forward direction, radians, shape (exits,).
         photons: Number of photons.
         seed: Seed of NumPy's generator.
+        spot: Radius of the disc that is lit evenly and from which light is collected, in units of
+            the stroma's mean free path; infinite by default. The ABL is thin.
     """
     abl, absorption, scattering = depths
     depth, albedo = absorption + scattering, scattering / (absorption + scattering)
@@ -39,6 +41,7 @@ def brdf(depths, indices, cos_incidence, cos_exit, azimuth, photons, seed):
     start = _refracted(np.asarray(cos_incidence), aqueous, stroma)
     weight = np.full(photons, through(start))
     direction = np.tile([np.sqrt(1 - start**2), 0, start], (photons, 1))
+    aside = np.zeros((photons, 2))
     at, score = np.zeros(photons), np.zeros((photons, len(inside)))
     alive = np.arange(photons)
     while alive.size:
@@ -47,6 +50,8 @@ def brdf(depths, indices, cos_incidence, cos_exit, azimuth, photons, seed):
         above, below = new < 0, new > depth
         kept = rng.random(alive.size) < np.where(above, back(np.abs(mu)), floor(np.abs(mu)))
         crossed = above | below
+        gone = (np.clip(new, 0, depth) - at[alive]) / mu
+        aside[alive] += gone[:, None] * direction[alive, :2]
         at[alive] = np.clip(new, 0, depth)
         direction[alive[crossed], 2] *= -1
 
@@ -55,10 +60,20 @@ def brdf(depths, indices, cos_incidence, cos_exit, azimuth, photons, seed):
         here, toward = at[hit, None], direction[hit]
         straight = _rayleigh(toward @ seen) * np.exp(-here / inside)
         mirrored = _rayleigh(toward @ down) * np.exp(-(depth - here) / inside) * bounce
+        if spot is not None:
+            to_roof, tilt = aside[hit][:, :, None], seen[:2] / inside
+            straight = straight * _shared(to_roof + here[..., None] * tilt, spot)
+            mirrored = mirrored * _shared(to_roof + (2 * depth - here[..., None]) * tilt, spot)
         score[hit] += weight[hit, None] * bright * (straight + mirrored) / (4 * np.pi)
         direction[hit] = _scattered(toward, rng)
         alive = alive[(~crossed | kept) & (weight[alive] > 1e-6)]
     return score.mean(0), score.std(0, ddof=1) / np.sqrt(photons)
+
+
+def _shared(aside, radius):
+    """Share that two discs have in common whose centres lie apart by `aside`, on its axis 1."""
+    x = np.minimum(np.linalg.norm(aside, axis=1) / (2 * radius), 1)
+    return 2 / np.pi * (np.arccos(x) - x * np.sqrt(1 - x**2))
 
 
 def _rayleigh(cosine):

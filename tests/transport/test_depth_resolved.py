@@ -354,3 +354,21 @@ def test_opaque_layers_in_a_trace(opaque_traced, name, panels):
     np.testing.assert_allclose(found.values, doubled.values, rtol=1e-6)
     np.testing.assert_allclose(found.absorbed.total() + found.values, 1, rtol=1e-9)
     assert all(np.isfinite(x).all() for x in jax.tree.leaves(gradient))
+
+
+def test_a_probe_reads_what_photons_carry_into_its_cone():
+    """What a narrow spot loses sideways is the approximation of an infinitely wide one."""
+    iris, grid = ij.Iris.of_level("moderate"), np.array([550.0])
+    seen = ij.Spectrophotometer(grid, aperture=0.22)
+    layers = iris.layers(seen.pigments, seen.media.aqueous)
+    depths = layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering
+    depths = tuple(float(x[0]) for x in depths)
+    indices = tuple(float(getattr(layers.indices, n)) for n in ("aqueous", "abl", "stroma", "ipe"))
+    exits = np.asarray(seen.exits.cosine), np.asarray(seen.exits.azimuth)
+    wide, error = next_event.brdf(depths, indices, 1.0, *exits, 20_000, 3)
+    found = float(ij.observe(iris, seen, ij.RadiativeExact(16, 8)).values[0])
+    # The four exits share their photons.
+    assert abs(np.pi * wide.mean() - found) < 4 * np.pi * error.mean()
+    spot = 0.5 * (depths[1] + depths[2]) / float(iris.stroma_thickness)  # 0.5 mm
+    narrow, _ = next_event.brdf(depths, indices, 1.0, *exits, 20_000, 3, spot)
+    assert 0.01 < 1 - narrow.mean() / wide.mean() < 0.04
