@@ -55,7 +55,13 @@ def main(key, quick=False, out=RESULTS):
             {"process": ij.DEPTH_RESOLVED, "strength": True},
         ),
         "eight bands of 20 to 40 nm": (_bands, noisy, {}),
-        "the same measured twice": (_twice, noisy, {}),
+        **{
+            f"{n} bands of {width:g} nm, {how}": (_filters(n, width, how), noisy, {})
+            for n in (4, 6, 8)
+            for width in (10.0, 40.0)
+            for how in ("even", "in the blue")
+        },
+        "31 wavelengths measured twice": (_twice, noisy, {}),
         "a second spectrum at 60 degrees": (_two_angles, noisy, {}),
         "a second spot with twice the melanin": (
             _two_spots,
@@ -143,6 +149,14 @@ def _spectra(low, high, step):
 def _bands(iris):
     bands = ij.Passbands.slit(CENTRES, FWHM)
     return ij.spectrum(CENTRES, np.ones(CENTRES.size), bands=bands)
+
+
+def _filters(n, width, how):
+    """Filters from 420 to 680 nm, even or each next step 1.3 times as wide as the one before."""
+    steps = np.ones(n - 1) if how == "even" else 1.3 ** np.arange(n - 1)
+    centres = 420 + 260 * np.concatenate([[0], steps.cumsum() / steps.sum()])
+    bands = ij.Passbands.slit(centres, width)
+    return lambda iris: ij.spectrum(np.asarray(bands.centres), np.ones(n), bands=bands)
 
 
 def _colour(iris):
