@@ -366,7 +366,7 @@ def report(
         low, high = np.degrees(pose.tilt_interval)
         print(
             f"camera: {np.degrees(pose.tilt):.1f} ({low:.1f} to {high:.1f}) degrees off the "
-            f"eye's axis{where}; pupil {2 * float(pose.eye.pupil_radius):.2f} mm wide, lengths for "
+            f"eye's axis{where}; pupil {2 * pose.pupil_radius:.2f} mm wide, lengths for "
             f"a limbus of {2 * float(pose.eye.limbus_radius):.1f} mm"
         )
         if pose.distance is None:

@@ -204,7 +204,7 @@ def _pose(pose: Pose) -> dict[str, object]:
             "relative_sd": spread / mean,
             "meaning": "every length is in proportion to the limbus's radius, which is assumed",
         },
-        "pupil_radius_mm": eye.pupil_radius,
+        "pupil_radius_mm": pose.pupil_radius,
         "pupil_margin_mm": eye.pupil_margin,
         "iris_radius_mm": eye.iris_radius,
         "pupil_centre_mm": pose.pupil_centre,

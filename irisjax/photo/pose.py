@@ -72,8 +72,10 @@ class Pose(NamedTuple):
     Attributes:
         camera: The camera, whose picture has the size of the part.
         corner: Column and row of the part's first pixel in the photograph.
-        eye: The eye with its pupil.
+        eye: The eye with its pupil; a clone's begins to fade within it where the photograph is
+            blurred.
         pupil_centre: Observed centre of the pupil on the iris, mm from the axis.
+        pupil_radius: Observed radius of the pupil on the iris, mm.
         tilt: Angle between the eye's axis and the camera, radians.
         tilt_sd: Standard deviation of the tilt, see `tilts_of_people`.
         tilt_interval: Interval that holds 95 % of the tilts.
@@ -86,6 +88,7 @@ class Pose(NamedTuple):
     corner: tuple[int, int]
     eye: Eye
     pupil_centre: tuple[float, float]
+    pupil_radius: float
     tilt: float
     tilt_sd: float
     tilt_interval: tuple[float, float]
@@ -223,7 +226,8 @@ def find_pose(
     eye = eye.replace(pupil_radius=radius, pupil_centre=jnp.asarray(centre))
     sd, interval, stretched = tilts_of_people(limbus, pupil, spread, azimuth)
     interval = min(interval[0], tilt), max(interval[1], tilt)
-    return Pose(camera, corner, eye, centre, tilt, sd, interval, seen_at, side, stretched)
+    seen = camera, corner, eye, centre, float(radius)
+    return Pose(*seen, tilt, sd, interval, seen_at, side, stretched)
 
 
 def iris_points(eye: Eye, x: ArrayLike, y: ArrayLike) -> Float[np.ndarray, "*s 3"]:

@@ -17,7 +17,7 @@ from irisjax.render.project import look
 @pytest.fixture(scope="module")
 def pose():
     camera = Camera(polar=0.2, azimuth=0.35, distance=300.0, width=12.65, size=(201, 201))
-    return Pose(camera, (0, 0), Eye(), (0.0, 0.0), 0.2, 0.01, (0.18, 0.22), None, "given")
+    return Pose(camera, (0, 0), Eye(), (0.0, 0.0), 2.0, 0.2, 0.01, (0.18, 0.22), None, "given")
 
 
 def _mirrored(pose, towards, radius):

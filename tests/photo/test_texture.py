@@ -91,7 +91,7 @@ SPACING, WIDTH = 0.8, 0.12  # mm, of the dots
 @pytest.fixture(scope="module")
 def pose():
     camera = Camera(polar=0.5236, azimuth=0.35, distance=300.0, width=14.0, size=(501, 451))
-    return Pose(camera, (0, 0), Eye(), (0.0, 0.0), 0.5236, 0.01, (0.5, 0.55), None, "given")
+    return Pose(camera, (0, 0), Eye(), (0.0, 0.0), 2.0, 0.5236, 0.01, (0.5, 0.55), None, "given")
 
 
 def _texture(size):

@@ -18,7 +18,7 @@ from irisjax.tissue.maps import IrisMaps
 BASE = Iris(fibril_radius=jnp.asarray(57.0))
 EYE = Eye(cornea=Cornea(scatter=None), sclera=None)
 CAMERA = Camera(polar=0.2, azimuth=0.4, width=13.0, size=(90, 90))
-POSE = Pose(CAMERA, (0, 0), EYE, (0.0, 0.0), 0.2, 0.01, (0.18, 0.22), None, "given")
+POSE = Pose(CAMERA, (0, 0), EYE, (0.0, 0.0), 2.0, 0.2, 0.01, (0.18, 0.22), None, "given")
 LIGHTS = Lights.distant(0.6, 2.0) + Lights.distant(0.3, -1.0, 1.0)
 # A cheaper solver: the error of its quadrature is no matter of the windows'.
 QUICK = Separable(degrees=(3, 3, 2, 2, 2), solver=ij.IlitExact(8))
