@@ -27,7 +27,7 @@ MODES = {
 
 def main(key, quick=False, out=RESULTS):
     """Write `bench_engine.csv` (quick: two eyes, in the process and by one worker)."""
-    sizes = (1, 2) if quick else (4, 16)
+    sizes = (1, 2) if quick else (2, 10)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)

@@ -151,7 +151,7 @@ def by_scipy(problem, spectra, maps, count):
         begin = time.perf_counter()
         ended = least_squares(residuals, np.zeros(len(FREE)), x_scale="jac")
         seconds += time.perf_counter() - begin
-        natural = np.asarray(problem.natural(ended.x))
+        natural = np.asarray(problem.natural(jax.numpy.asarray(ended.x)))
         largest = max(largest, float(np.max(np.abs(natural - values[i]) / sds[i])))
     return seconds / count, largest
 
