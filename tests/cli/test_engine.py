@@ -1,5 +1,6 @@
 """Batches shared among worker processes: real ones of dask.distributed, killed and restarted."""
 
+import gc
 import os
 import signal
 import subprocess
@@ -12,7 +13,8 @@ import pytest
 
 from irisjax.cli.engine import Lost, Workers, each, fault_of
 
-pytestmark = pytest.mark.peer
+# Dask leaves the sockets of a scheduler that was killed to the garbage collector.
+pytestmark = [pytest.mark.peer, pytest.mark.filterwarnings("ignore::ResourceWarning")]
 pytest.importorskip("distributed")
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
@@ -91,6 +93,7 @@ def test_a_restarted_scheduler_loses_nothing():
         for process in running:
             process.kill()
             process.wait()
+        gc.collect()
 
 
 def test_no_scheduler_is_said(monkeypatch):
@@ -104,12 +107,20 @@ def test_faults_in_words():
     assert fault_of(KeyError("x")) == "internal error: KeyError: 'x'"
 
 
-def _command(folder, *arguments, **more):
+_ON_A_FULL_DISK = """
+import os, resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
+os.execv(sys.argv[1], sys.argv[1:])
+"""
+
+
+def _command(folder, *arguments, before=(), **more):
     """`irisjax fit --batch` in a process of its own, with a cache that all these share."""
     flags = "--xla_backend_optimization_level=0"
     env = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(folder / "cache"), "XLA_FLAGS": flags}
     model = ("--process", "ilit-2006", "--free", "melanin_load")
-    call = [sys.executable, "-m", "irisjax", "fit", "--batch", folder / "eyes.csv", *model]
+    call = [sys.executable, *before, "-m", "irisjax", "fit", "--batch", folder / "eyes.csv", *model]
     return subprocess.Popen(
         [*call, *arguments], env=env, cwd=ROOT, stderr=subprocess.PIPE, text=True, **more
     )
@@ -146,14 +157,8 @@ def test_equal_bytes_whatever_the_workers_and_the_faults(tmp_path):
 
     _finish(_command(tmp_path, "-o", tmp_path / "one"))
 
-    def small_files():
-        import resource
-
-        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-        resource.setrlimit(resource.RLIMIT_FSIZE, (2000, resource.RLIM_INFINITY))
-
     target = tmp_path / "two"
-    full = _command(tmp_path, "-o", target, preexec_fn=small_files)
+    full = _command(tmp_path, "-o", target, before=("-c", _ON_A_FULL_DISK, sys.executable))
     error = full.communicate()[1].strip().splitlines()
     assert (full.returncode, len(error)) == (2, 1), error
     assert error[0].startswith(f"irisjax: {target}")
