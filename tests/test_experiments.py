@@ -22,7 +22,6 @@ NAMES = sorted(
 SLOW = {
     "bench_accuracy_time",
     "bench_device",
-    "bench_engine",
     "bench_inversion",
     "bench_render",
     "clone_coverage",
