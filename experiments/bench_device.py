@@ -1,5 +1,5 @@
-"""What an accelerator gains: spectra, photons, log probabilities, fits and frames a second, beside
-the same on the processor of the same machine.
+"""Measure what an accelerator gains: spectra, photons, log probabilities, fits and frames a second,
+beside the same on the processor of the same machine.
 
 Four minutes at most, one file. Each device and precision has a process of its own, because they
 are settings of a whole program; a process that has used its share of the time is ended, and what

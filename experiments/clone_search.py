@@ -24,7 +24,7 @@ from irisjax.photo.pigments import CONCENTRATIONS, simplex
 from irisjax.photo.thickness import BETA, SIGMA
 
 STEPS = 1, 4, 12, 50
-"""Of the simplex under its premises, where its path is kept; those for the eumelanins."""
+"""Steps of the simplex under its premises, at which its path is kept."""
 SHOWN = {"start": 1, "middle": 12, "end": 50}
 """Steps of the simplex whose pictures are kept; those of the end with the ratios sought too."""
 SIDE = 220

@@ -124,7 +124,7 @@ def clone_by_f09(
 
 
 def clone_to_texels(photograph: Photograph) -> Coloured:
-    """What `irisjax clone` makes, with the thickness of its texels."""
+    """Clone as `irisjax clone` does, with the thickness of the texels."""
     *_, found = clone_eye(photograph, CloneSettings(), last="texels")
     assert isinstance(found, Coloured)
     depth = np.asarray(found.maps().stroma_depth)

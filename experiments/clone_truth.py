@@ -44,8 +44,8 @@ def true_thickness(colour: str, texture: Unrefracted, folder: Path = FOLDER) -> 
 
 
 def premises(colour: str, folder: Path = FOLDER) -> tuple[Given, dict[str, float]]:
-    """What F09 measured before its search: the light; exposure, white balance and scattering by the
-    names of `simplex`.
+    """Return what F09 measured before its search: the light; exposure, white balance and scattering
+    by the names of `simplex`.
     """
     numbers = _numbers(colour, folder)
     lamp, (red, green, blue) = numbers["lamp"], numbers["gains"]

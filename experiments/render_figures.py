@@ -33,7 +33,7 @@ EXPOSURE = 6.0
 GRAZING = 1.7
 """Polar angle of the light of a caustic, radians."""
 CONCENTRATIONS = dict(zip(FRACTIONS, (7.56, 5.84, 4.61, 2.11), strict=True))
-"""Of F09's Fig. 1, in per cent of volume."""
+"""Melanins of F09's Fig. 1, in per cent of volume."""
 SMOOTH = {"crypts": 0, "furrows": 0}
 """Features of irides on which a caustic is the brightest thing."""
 

@@ -16,7 +16,7 @@ from irisjax.cli.engine import Lost, Workers, each
 from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler, key_of, process_of
 from irisjax.cli.many import DOUBTFUL, FAILED, OK, EyeRow, EyeTable, csv_of
 from irisjax.cli.sentences import of_the_data, preference
-from irisjax.infer.fit import Fit, FitStatus, fit, words_for
+from irisjax.infer.fit import OFF_PRIOR, Fit, FitStatus, abl_melanin, fit, words_for
 from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.model_comparison import compare_processes, other_of
 from irisjax.infer.observation import with_values
@@ -34,10 +34,10 @@ from irisjax.transport.process import option_of
 _CHUNK = 64  # eyes a device at a time
 _PIECES, _MOST_CHUNKS = 32, 16  # of work for others: many for a fair share, each of a second or so
 _FIRST = ("eye", "status", "posterior", "warnings")
+_ABL = "abl_melanin", "abl_melanin_sd"
 _SUFFIXES = {f".{end}" for end in ("csv", "tsv", "txt", "asc", "dx", "jdx", "jcm", "rxt")} | {
     f".{end}" for end in ("sed", "sig", "trt", "ttt", "xlsx")
 }
-_FAR = 4.0  # standard deviations of a prior
 
 Eyes = Mapping[str, Measured | ValueError]
 
@@ -186,7 +186,7 @@ def _fitted_chunk(
     found, beside = (
         jax.tree.map(np.asarray, _fit_all(p, values, sds, key)) for p in (problem, other)
     )
-    names = [n for n in problem.free if not n.startswith("noise")]
+    names = problem.fitted
     rows, covariances = {}, {}
     for i, (name, measured) in enumerate(zip(chunk, spectra, strict=True)):
         mine, its = (jax.tree.map(lambda x, i=i: x[i], fits) for fits in (found, beside))
@@ -201,7 +201,8 @@ def _fitted_chunk(
         covariance = _covariance(problem, mine, names)
         priors = dict(zip(problem.free, problem.priors, strict=True))
         covariances[name] = covariance_rows(name, {n: priors[n] for n in names}, covariance)
-        abl = _abl_melanin(names, mine, covariance)
+        both = abl_melanin(names, np.array([mine.values[n] for n in names]), covariance)
+        abl = [] if both is None else [*zip(_ABL, map(float, both), strict=True)]
         rows[name] = {
             **_row(name, status, "", "; ".join(warnings)),
             **{column: f"{x:.6g}" for column, x in [*numbers, *abl]},
@@ -239,25 +240,13 @@ def _covariance(problem: Problem, found: Fit, names: list[str]) -> np.ndarray:
     return slopes[:, None] * covariance * slopes
 
 
-def _abl_melanin(names: list[str], found: Fit, covariance: np.ndarray) -> list[tuple[str, float]]:
-    """Load × fraction and its standard deviation, to first order, where both are free."""
-    both = ["melanin_load", "abl_fraction"]
-    if not set(both) <= set(names):
-        return []
-    load, fraction = (float(found.values[n]) for n in both)
-    places = [names.index(n) for n in both]
-    slopes, part = np.array([fraction, load]), covariance[np.ix_(places, places)]
-    spread = float(np.sqrt(slopes @ part @ slopes))
-    return [("abl_melanin", load * fraction), ("abl_melanin_sd", spread)]
-
-
 def _judged(problem: Problem, found: Fit) -> tuple[str, list[str]]:
     """Status of a fit, and its warnings."""
     said = [words_for(found.status)] if words_for(found.status) else []
     if found.status == FitStatus.not_converged or found.status == FitStatus.solver_failed:
         return FAILED, said
     for name, z in zip(problem.free, found.z, strict=True):
-        if abs(z) > _FAR:
+        if abs(z) > OFF_PRIOR:
             value = float(found.values[name])
             said.append(f"{name} = {value:.3g} is {abs(z):.0f} standard deviations off its prior")
     return (DOUBTFUL if said else OK), said

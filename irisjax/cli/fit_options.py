@@ -38,7 +38,7 @@ EPILOG = "\n".join(
         "logit), uniform(low, high), loguniform(low, high).",
     ]
 )
-"""What follows the options in the help."""
+"""The text below the options in the help."""
 
 
 def _span(text: str) -> Span:
@@ -77,7 +77,7 @@ def _prior(text: str) -> tuple[str, AbstractPrior]:
 
 
 class SpectralMeasurement(opt.Group, panel="Measurement"):
-    """What is said of a measured spectrum or of a cube of them."""
+    """Options that describe a measured spectrum, or a cube of them."""
 
     relative_noise: float = opt.number(
         "noise, a share of the reflectance, of files with neither sd nor repeated scans",

@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import os
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -33,6 +32,7 @@ from irisjax.io.sections import plain, toml_of
 from irisjax.io.tables import replacing
 from irisjax.measure.passbands import Passbands
 from irisjax.numerics.checks import Range
+from irisjax.numerics.portions import cores
 from irisjax.photo.photograph import Ellipse
 from irisjax.plot import flags_figure, maps_figure, picture
 from irisjax.tissue.maps import cell_centres
@@ -128,7 +128,7 @@ def map_command(
     folder, outlines = files.output, _outlines(pixels)
     check_folder(folder, "maps.nc", "maps", files.overwrite)
     source, problem = _stated(measured, pixels, model, outlines)
-    with ThreadPoolExecutor(_cores()) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         sample = _sample(source)
         source.check(sample)
         starts = fitting.prior_starts(problem, pool.map)
@@ -250,7 +250,7 @@ def _written(
     """Fit all pixels into a file; how many have each flag."""
     rows, columns, _ = source.cube.shape
     step, counts = max(1, _CHUNK // columns), dict.fromkeys(FLAGS, 0)
-    names = [n for n in problem.free if not n.startswith("noise")]
+    names = problem.fitted
     form = dict(zip(problem.free, map(repr, problem.priors), strict=True))
     variables: dict[str, Any] = {}
     for name in (*names, *(["abl_melanin"] if _has_abl(names) else [])):
@@ -321,7 +321,7 @@ def _draw(made: Path, folder: Path, problem: ij.Problem, outlines: Any) -> None:
     """Write pictures of the maps, and the maps for the renderers."""
     flags = read_map(made, "flag")
     extent, step = flags.shape, max(1, -(-max(flags.shape) // _SHOWN))
-    names = [n for n in problem.free if not n.startswith("noise")]
+    names = problem.fitted
     names = [*names, *(["abl_melanin"] if _has_abl(names) else [])]
     shown = {n: (read_map(made, n, step), unit_of(n)) for n in names}
     misfit = {"reduced_chi_square": (read_map(made, "reduced_chi_square", step), "")}
@@ -353,9 +353,8 @@ def _for_renderers(
     low, high = (np.clip((middle + d) / step, 0, None).astype(int) for d in (-reach, reach))
     box = np.s_[low[0] : high[0] + 2, low[1] : high[1] + 2]
     good = (flags[::step, ::step][box] & ~(PixelFlag.OFF_PRIOR | PixelFlag.MISFIT)) == 0
-    free = [n for n in problem.free if not n.startswith("noise")]
     values = {n: np.asarray(v) for n, v in problem.fixed.items() if n != "noise"}
-    values |= {n: read_map(made, n, step)[box].astype(float) for n in free}
+    values |= {n: read_map(made, n, step)[box].astype(float) for n in problem.fitted}
     iris = fitting.iris_of_pixels(values, problem.base, good)
     across = limbus.mean_radius - pupil.mean_radius
     shape = max(64, round(2 * math.pi * limbus.mean_radius / step)), max(16, round(across / step))
@@ -387,7 +386,7 @@ def _for_renderers(
 
 def _medians(path: Path, problem: ij.Problem) -> dict[str, list[str]]:
     """Columns of a table: for each map its median, its range over pixels, and its deviation."""
-    names = [n for n in problem.free if not n.startswith("noise")]
+    names = problem.fitted
     names = [*(["abl_melanin"] if _has_abl(names) else []), *names]
     rows, columns = read_map(path, "flag").shape
     step = max(1, max(rows, columns) // _SHOWN)
@@ -417,8 +416,3 @@ def _new_folder(folder: Path) -> Iterator[None]:
             with contextlib.suppress(OSError):
                 folder.rmdir()
             raise
-
-
-def _cores() -> int:
-    of_process = getattr(os, "sched_getaffinity", None)  # not on every system
-    return len(of_process(0)) if of_process else os.cpu_count() or 1

@@ -1,5 +1,6 @@
 """Least squares: the best parameters, their covariance, and whether to believe them."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
@@ -13,13 +14,14 @@ from scipy.special import chdtri
 
 from irisjax._types import PRNGKey
 from irisjax.infer.least_squares import Found, least_squares, levenberg_marquardt
-from irisjax.infer.parameters import kind
 from irisjax.infer.problem import Problem
 from irisjax.numerics.checks import check_whole
 from irisjax.transport.solution import RESULTS, raise_failure
 
 MISFIT = 1e-6
 """Probability of a chi-square as large below which a fit is called a misfit."""
+OFF_PRIOR = 4.0
+"""Standard deviations of its prior beyond which a parameter is doubted."""
 
 
 class FitStatus(eqx.Enumeration):
@@ -136,6 +138,22 @@ def fit(
     return raise_failure(found, found.status) if throw else found
 
 
+def abl_melanin(
+    names: Sequence[str],
+    values: Float[np.ndarray, "*s fitted"],
+    covariance: Float[np.ndarray, "*s fitted fitted"],
+) -> tuple[Any, Any] | None:
+    """Return load times ABL fraction, µg/mm², and its standard deviation, to first order, of one
+    fit or of many; `None` unless both are among the names.
+    """
+    if not {"melanin_load", "abl_fraction"} <= set(names):
+        return None
+    places = [names.index(n) for n in ("melanin_load", "abl_fraction")]
+    load, fraction = np.moveaxis(values[..., places], -1, 0)
+    slopes, part = np.stack([fraction, load], -1), covariance[..., places, :][..., places]
+    return load * fraction, np.sqrt(np.einsum("...i,...ij,...j", slopes, part, slopes))
+
+
 def words_for(status: FitStatus) -> str:
     """Return the words of one concrete status, empty for success."""
     # Equinox has no words for a NumPy scalar, which is what an item of a batch is.
@@ -145,7 +163,7 @@ def words_for(status: FitStatus) -> str:
 @eqx.filter_jit
 def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> Fit:
     dtype, free = jnp.result_type(float), len(problem.free)
-    moving = np.flatnonzero([kind(n) != "noise" for n in problem.free])
+    moving = np.asarray(problem.moving, int)
 
     def placed(x):
         """All of z from its fitted part; the rest at the priors' medians."""

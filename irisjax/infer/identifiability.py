@@ -47,7 +47,7 @@ class Information(NamedTuple):
 
 def information(problem: Problem, fit: Fit) -> Information:
     """Compute the Fisher information at a fit."""
-    kept = [i for i, n in enumerate(problem.free) if kind(n) != "noise"]
+    kept = problem.moving
     names, covariance = tuple(problem.free[i] for i in kept), np.asarray(fit.covariance)
     in_logs = np.asarray(fit.jacobian)[:, kept] * [float(fit.values[n]) for n in names]
     fisher = in_logs.T @ in_logs

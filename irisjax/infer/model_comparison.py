@@ -225,7 +225,7 @@ def covariance_at(
 
 def _log_evidence(problem: Problem, found: Fit, spread: float) -> float:
     """Logarithm of the evidence but for a constant that processes share [Laplace]."""
-    kept = [i for i, n in enumerate(problem.free) if kind(n) != "noise"]
+    kept = problem.moving
     covariance = covariance_at(np.asarray(found.covariance)[np.ix_(kept, kept)], spread)
     data = 0.5 * float(found.chi_square)
     prior = float(found.cost) - data

@@ -23,7 +23,7 @@ from scipy.special import ndtri
 from scipy.stats import qmc
 
 from irisjax.infer import parameters
-from irisjax.infer.fit import Fit, FitStatus, fit
+from irisjax.infer.fit import OFF_PRIOR, Fit, FitStatus, abl_melanin, fit
 from irisjax.infer.least_squares import NORMAL_EQUATIONS
 from irisjax.infer.observation import with_values
 from irisjax.infer.parameters import kind
@@ -33,14 +33,11 @@ from irisjax.numerics.portions import by_rows
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 
-OFF_PRIOR = 4.0
-"""Standard deviations of its prior beyond which a parameter is flagged."""
-
 _ROWS, _BATCH = 64, 32  # pixels of a call, and of a search in step: more leave the core's cache
 _LINEAR_STEPS, _LONGEST = 3, 1.0  # with the derivatives of a table's spectrum, and their size in z
 _STEPS, _ROUNDS = 5, 40  # of a search, and how often a pixel's search goes on
-# Of z and of residuals, whose standard deviations are about one: what is left is below 0.04 of a
-# standard deviation for 99 pixels in 100, and 0.12 for all.
+# A search ends when z and the residuals, whose standard deviations are about one, move by less: the
+# optimum is then within 0.04 standard deviations for 99 pixels in 100, and within 0.12 for all.
 _TOLERANCE = 1e-2
 _DRAWS = 2**12  # of the priors
 
@@ -49,7 +46,7 @@ Each = Callable[..., Any]
 
 
 class PixelFlag(enum.IntFlag):
-    """What is said of a pixel; 0 is none of these. The first three have no fit."""
+    """Flags of a pixel, which add; 0 is none. A pixel with one of the first three has no fit."""
 
     MASKED = 1
     NOT_A_NUMBER = 2
@@ -94,18 +91,8 @@ class PixelFits(NamedTuple):
         return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))
 
     def abl_melanin(self) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return load times ABL fraction, µg/mm², and its standard deviation, to first order;
-        `None` unless both are fitted.
-        """
-        if not {"melanin_load", "abl_fraction"} <= set(self.names):
-            return None
-        i, k = (self.names.index(n) for n in ("melanin_load", "abl_fraction"))
-        load, fraction = self.values[:, i], self.values[:, k]
-        c = self.covariance
-        variance = (
-            fraction**2 * c[:, i, i] + load**2 * c[:, k, k] + 2 * load * fraction * c[:, i, k]
-        )
-        return load * fraction, np.sqrt(variance)
+        """Return what `abl_melanin` makes of these fits."""
+        return abl_melanin(self.names, self.values, self.covariance)
 
 
 def prior_starts(problem: Problem, each: Each = map) -> Starts:
@@ -144,7 +131,7 @@ def fit_pixels(
         more = by_rows(run, (values[again], found["z"][again]), _ROWS, each)
         for name, array in more.items():
             found[name][again] = array
-    moving = [i for i, n in enumerate(problem.free) if kind(n) != "noise"]
+    moving = problem.moving
     slopes = found["slopes"][:, moving]
     covariance = found["covariance"][:, moving][:, :, moving]
     off = (np.abs(found["z"]) > OFF_PRIOR).any(axis=1)
@@ -153,7 +140,7 @@ def fit_pixels(
     return PixelFits(
         found["z"], found["values"][:, moving],
         slopes[:, :, None] * covariance * slopes[:, None, :], found["predicted"],
-        found["chi_square"], flags.astype(np.uint8), tuple(problem.free[i] for i in moving),
+        found["chi_square"], flags.astype(np.uint8), tuple(problem.fitted),
     )  # fmt: skip
 
 
@@ -249,7 +236,7 @@ def _started(problem: Problem, starts: Starts, values: Any) -> Any:
 @eqx.filter_jit
 def _fitted(problem: Problem, rows: Any) -> dict[str, Any]:
     o = problem.observations[0]
-    # In curved valleys it takes half as many steps as Levenberg and Marquardt's.
+    # Dogleg takes half as many steps as Levenberg and Marquardt's method in curved valleys.
     solver: Any = optx.Dogleg(_TOLERANCE, _TOLERANCE, linear_solver=NORMAL_EQUATIONS)
 
     def one(row):

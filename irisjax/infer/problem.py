@@ -67,6 +67,16 @@ class Problem(eqx.Module):
         return self.free
 
     @property
+    def moving(self) -> list[int]:
+        """Places of the free parameters that least squares fit: all but the noise."""
+        return [i for i, name in enumerate(self.free) if kind(name) != "noise"]
+
+    @property
+    def fitted(self) -> list[str]:
+        """Names of the free parameters that least squares fit."""
+        return [self.free[i] for i in self.moving]
+
+    @property
     def log_density(self) -> Callable[[np.ndarray], np.ndarray]:
         """Jitted function of vectors z (n, free), which returns log posterior densities (n,)."""
         both = in_rows(_densities, self)
@@ -75,8 +85,7 @@ class Problem(eqx.Module):
     @property
     def undetermined(self) -> int:
         """Number of parameters that keep their priors because there are fewer data than these."""
-        fitted = sum(kind(n) != "noise" for n in self.free)
-        return max(0, fitted - sum(o.values.shape[-1] for o in self.observations))
+        return max(0, len(self.moving) - sum(o.values.shape[-1] for o in self.observations))
 
     @property
     def process(self) -> AbstractProcess:

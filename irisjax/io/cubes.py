@@ -291,7 +291,7 @@ def _xarray(path: Path, variable: str | None, unit: str | None) -> Cube:
             data = xarray.open_dataset(path, **how)
     except (OSError, ModuleNotFoundError):
         raise
-    except Exception as error:
+    except Exception as error:  # each of the libraries that xarray uses raises errors of its own
         raise ValueError(f"cannot be read ({_first_line(error)})") from None
     cubes = [str(n) for n, v in data.data_vars.items() if v.ndim == 3]
     if variable is not None and variable not in cubes:

@@ -181,7 +181,7 @@ def _iad(text: str) -> Columns:
 
 
 def _iad_notes(header: list[float], columns: dict[str, np.ndarray]) -> Iterator[str]:
-    """What sample and spheres mean for M_R  [Prahl, van Gemert & Welch 1993]."""
+    """Yield what sample and spheres mean for M_R  [Prahl, van Gemert & Welch 1993]."""
     index, slide, spheres = header[1], header[3], header[6]
     if slide > 0 and index > 1:
         yield f"behind a slide ({slide:g} mm, index {index:g}), whose reflections are not modelled"

@@ -132,15 +132,19 @@ def by_rows(
     return jax.tree.map(lambda *x: np.concatenate(x)[:count], *done)
 
 
+def cores() -> int:
+    """Return the number of processor cores that this process may use."""
+    of_process = getattr(os, "sched_getaffinity", None)  # not on every system
+    return len(of_process(0)) if of_process else os.cpu_count() or 1
+
+
 def _threads(pixels: object, others: object) -> int:
     """Number of threads: a power of two, so that no share is padded; one in a trace."""
     if _count(pixels) < _FEW or jax.default_backend() != "cpu":
         return 1
     if any(isinstance(x, Tracer) for x in jax.tree.leaves((pixels, others))):
         return 1
-    of_process = getattr(os, "sched_getaffinity", None)  # not on every system
-    cores = len(of_process(0)) if of_process else os.cpu_count() or 1
-    return 1 << (min(cores, 8).bit_length() - 1)
+    return 1 << (min(cores(), 8).bit_length() - 1)
 
 
 def _share_of(f: Callable[[P], T], pixels: P, share: Array | int, shares: int) -> T:

@@ -100,7 +100,8 @@ def check_batch(irisjax, eye, tmp_path, rel, status_of_all):
 
 def test_batch(irisjax, eye, searched, tmp_path):
     check_batch(irisjax, eye, tmp_path, 1e-5, "ok")
-    # By either process. A chunk is fitted whole again: the numbers of a run that never stopped.
+    # Each chunk is searched by either process, and fitted whole again: its numbers are then those
+    # of a run that never stopped.
     assert searched == [3, 3, 4, 4, 2, 2]
 
 
