@@ -263,7 +263,7 @@ def _sampled(
     """Sample the posterior of an eye; what that changes in its row."""
     ((name, measured),) = eye.items()
     problem = ij.problem(ij.spectrum(measured, name=name, **seen), **options)
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     chain = folder / "chain.h5"
     if chain.exists() and not resume:
         chain.unlink()

@@ -51,10 +51,7 @@ class EyeTable:
         """Read what a stopped run has left if it is continued: rows that did not fail and are
         `done`. `ValueError` where there is a table and neither `resume` nor `overwrite`.
         """
-        if self.target is None:
-            return
-        self.target.parent.mkdir(parents=True, exist_ok=True)
-        if not self.target.exists():
+        if self.target is None or not self.target.exists():
             return
         if not (resume or overwrite):
             ways = "--resume continues it, --overwrite starts again"
@@ -95,6 +92,7 @@ class EyeTable:
 
     def _write(self) -> None:
         if self.target is not None and self.rows:
+            self.target.parent.mkdir(parents=True, exist_ok=True)
             io.write_together({self.target: self.text().encode(), **self.beside()})
 
     def text(self) -> str:

@@ -102,6 +102,18 @@ def test_no_scheduler_is_said(monkeypatch):
         list(each(square, {0: (0,)}, Workers(scheduler="tcp://127.0.0.1:9")))
 
 
+def test_a_refused_run_leaves_no_folder(irisjax, tmp_path, monkeypatch):
+    monkeypatch.setattr("irisjax.cli.engine._CONNECTING", 0.5)
+    (tmp_path / "eyes.csv").write_text("wavelength,a\n450,0.03\n550,0.02\n650,0.02\n")
+    target = tmp_path / "fits"
+    status, _, error = irisjax(
+        *("fit", "--batch", tmp_path / "eyes.csv", "-o", target),
+        *("--scheduler", "tcp://127.0.0.1:9"),
+    )
+    assert status == 2 and "no dask scheduler answers" in error
+    assert not target.exists()
+
+
 def test_faults_in_words():
     assert fault_of(ValueError("no\n eye")) == "no eye"
     assert fault_of(KeyError("x")) == "internal error: KeyError: 'x'"
