@@ -79,8 +79,8 @@ def fit_command(
             check_folder(folder, "chain.h5", "results", results.resume or results.overwrite, ways)
             check_run(problem, None, walkers=sampler.walkers, key=sampler.key)
             folder.mkdir(parents=True, exist_ok=True)
-            for name in () if results.resume else ("chain.h5", "chain.h5.bak"):
-                (folder / name).unlink(missing_ok=True)
+            if not results.resume:
+                (folder / "chain.h5").unlink(missing_ok=True)
         if model.process is None and problem.process != DEPTH_RESOLVED:
             tell(f"read by {option_of(problem.process)}, by which irisjax simulated the file")
         resume = results.resume

@@ -21,7 +21,6 @@ from irisjax.infer.model_comparison import predictive_score
 from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import kind, unit_of
 from irisjax.infer.problem import Problem, reported
-from irisjax.infer.store import copy_of
 from irisjax.plot.beside import Later, here
 from irisjax.transport.process import option_of
 
@@ -80,8 +79,6 @@ def one(
         score, error = _write(found, folder, [*first, *lines], sampler.key, draw)
         compared = "compare it with that of another --process"
         lines.append(f"predictive score {score:.1f} ± {error:.1f} (PSIS-LOO): {compared}")
-        if found.chains.converged:
-            copy_of(folder / "chain.h5").unlink(missing_ok=True)
     bar.close()
     if not quiet:
         _print(found, first, lines)

@@ -2,6 +2,7 @@
 the chain goes on until it is long enough.
 """
 
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -27,6 +28,7 @@ _PATIENCE = 500  # steps after which a first chain that is not long enough is re
 _REPLACED = 3  # largest number of chains that are replaced
 _ADAPTED_TO = 8192  # most samples that proposals are adapted to
 _MOST_KEPT = 1000  # steps that a diagnosis reads
+_BETWEEN_SAVES = 2.0  # seconds
 
 
 @runtime_checkable
@@ -119,7 +121,7 @@ def sample(
     Args:
         target: The density, such as a `Problem`.
         start: Normal approximation of it, such as the least-squares fit of a problem.
-        store: HDF5 file for the chain; by default it stays in memory.
+        store: HDF5 file for the chain, saved every two seconds; by default there is none.
         resume: Whether to continue the chain in the file.
         walkers: Number of walkers, at least 2 more than twice the free parameters.
         max_steps: Largest number of steps after burn-in.
@@ -147,7 +149,6 @@ def sample(
             continue
         most = min(kept.planned or _FIRST_LOOK, max_steps)
         _advance(kept, chain, most, log_density, key, tell, "sampling")
-        kept.save_copy()
         chains = diagnose(kept)
         if chains.converged or chains.steps >= max_steps:
             break
@@ -196,7 +197,7 @@ def words_of(key: PRNGKey) -> list[int]:
 
 
 def diagnose(store: Store) -> Chains:
-    """Judge a chain, read with a stride that bounds memory, by its autocorrelation and R-hat."""
+    """Judge a chain by its autocorrelation and R-hat; a long one by every n-th of its steps."""
     steps = store.steps
     stride = -(-steps // _MOST_KEPT)
     z, log_density = store.rows(stride - 1, steps, stride)
@@ -275,8 +276,8 @@ def _advance(
     word: str,
 ) -> None:
     """Continue a chain to so many steps."""
-    places, values = _last_whole(store, log_density)
-    done, random = store.steps, np.random.RandomState(0)
+    places, values = store.last()
+    done, random, saved = store.steps, np.random.RandomState(0), time.monotonic()
     if done >= steps:
         return
     (walkers, free), moves = places.shape, mixture(start.adapted_to)
@@ -287,17 +288,22 @@ def _advance(
         sampler.random_state = random.get_state()
 
     reseed()
-    with store.writing(steps - done) as append:
+    try:
         for state in sampler.sample(
-            emcee.State(places, log_prob=values),
+            emcee.State(places, log_prob=values, copy=True),
             iterations=steps - done,
             store=False,
             skip_initial_state_check=True,
         ):
-            append(state.coords, np.asarray(state.log_prob))
+            store.append(state.coords, np.asarray(state.log_prob))
             done += 1
             reseed()
+            if time.monotonic() > saved + _BETWEEN_SAVES:
+                store.save()
+                saved = time.monotonic()
             tell(start.steps_before + done, word)
+    finally:
+        store.save()
 
 
 def _replace(store: Store, start: ChainStart, samples: np.ndarray) -> None:
@@ -305,15 +311,3 @@ def _replace(store: Store, start: ChainStart, samples: np.ndarray) -> None:
     number, before = start.number + 1, start.steps_before + store.steps
     adapted_to = samples.reshape(-1, samples.shape[-1])
     store.begin(ChainStart(start.owner, number, before, *store.last(), adapted_to))
-
-
-def _last_whole(store: Store, log_density: Callable[[np.ndarray], np.ndarray]) -> tuple[Any, Any]:
-    """The last step that is whole: a process died while writing others, whose log density is not
-    that of their places.
-    """
-    for _ in range(3):
-        places, stored = store.last()
-        if _equal(log_density(places), stored):
-            return places, stored
-        store.drop_last()
-    raise ValueError("the steps in the file do not belong to this problem; remove it")
