@@ -92,10 +92,10 @@ def windows():
             profile.plot(
                 c["radius_mm"], c["estimate_mm"], "--", color=f"C{i}", label=f"at {angle}°"
             )
-        profile.set(xlabel="distance from the axis (mm)", ylabel="stroma (mm)", ylim=(0, 0.7))
+        profile.set(xlabel="distance from the axis (mm)", ylabel="stroma (mm)", ylim=(0, 1.0))
         profile.set_title(f"{eye} eye: local thickness", fontsize=8)
         key = "solid: truth; dashed: estimate"
-        profile.legend(fontsize=7, ncols=2, title=key, title_fontsize=7)
+        profile.legend(fontsize=7, ncols=2, title=key, title_fontsize=7, loc="upper right")
         mine = [r for r in borders if r["eye"] == eye and r["present"] == "1"]
         _polar(filtered, arrays[f"{eye} cells"], arrays[f"{eye} rim"])
         for r in mine:

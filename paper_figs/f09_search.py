@@ -86,7 +86,7 @@ def path():
     axes[0, 0].set_ylabel("difference in the windows, RMS (%)", fontsize=8)
     axes[1, 0].set_ylabel("eumelanin (mg/ml of the layer)", fontsize=8)
     axes[0, 0].legend(fontsize=7)
-    axes[1, 1].legend(fontsize=7, loc="lower left")
+    axes[1, 1].legend(fontsize=7, loc="lower left", ncols=2)
     figure.suptitle("The search for the pigments (simulated)", fontsize=9)
     save(figure, "f09_search")
 
