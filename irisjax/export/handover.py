@@ -15,13 +15,15 @@ from jax.scipy.linalg import block_diag
 
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.media import TEAR
-from irisjax.export.mesh import eye_meshes, mesh_files, right_handed
+from irisjax.export.gltf import gltf_files
+from irisjax.export.mesh import eye_meshes, lid_meshes, mesh_files, right_handed
 from irisjax.export.mitsuba import WIDEST, mitsuba_scene
 from irisjax.export.templates import filled
 from irisjax.io.images import encode_exr, encode_png, spectral_channels
 from irisjax.io.maps import encode_maps
 from irisjax.io.tables import format_table, write_together
 from irisjax.measure.colour import srgb_encode
+from irisjax.numerics.checks import check_known
 from irisjax.render.albedo import CONE, LambertError, Matt
 from irisjax.render.bands import Bands, colour_bands
 from irisjax.render.integrator import AbstractIntegrator
@@ -30,6 +32,8 @@ from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 
+FORMS = "obj", "glb"
+"""Kinds of hand-over: `glb` adds a glTF binary to the files of `obj`."""
 REFLECTANCE_WAVELENGTHS = tuple(400.0 + 20.0 * i for i in range(16))
 """Of the layers of reflectance.exr, nm."""
 _LAYERS = spectral_channels(REFLECTANCE_WAVELENGTHS, layer="T")
@@ -49,7 +53,9 @@ class Exported(NamedTuple):
     error: LambertError
 
 
-def export_scene(folder: str | Path, scene: Scene, *, spacing: float = 0.1) -> Exported:
+def export_scene(
+    folder: str | Path, scene: Scene, *, spacing: float = 0.1, form: str = "obj"
+) -> Exported:
     """Write a scene for other renderers into a new or empty folder: all files or none.
 
     - Meshes of the eye's surfaces (anterior, posterior, iris, sclera) as .ply and .obj, with
@@ -62,6 +68,7 @@ def export_scene(folder: str | Path, scene: Scene, *, spacing: float = 0.1) -> E
         for each of `REFLECTANCE_WAVELENGTHS`, never clipped; relief.exr: height towards the viewer,
         mm, where the iris has a relief.
     - maps.exr: the maps themselves (`read_maps`), if there are any. brdf.csv: the uniform iris's.
+    - eye.glb and planar textures of the iris (`export.gltf`), where `form` is "glb".
     - environment.exr, where the scene has one; scene.xml for Mitsuba 3; README.txt, which describes
         the files and states the error of a matt iris.
 
@@ -69,14 +76,16 @@ def export_scene(folder: str | Path, scene: Scene, *, spacing: float = 0.1) -> E
         folder: New or empty.
         scene: The scene.
         spacing: Size of the triangles, mm.
+        form: One of `FORMS`.
 
     Raises:
         OSError: naming the file, also for a folder that is not empty.
-        ValueError: for a bad `spacing`.
+        ValueError: for a bad `spacing` or `form`.
     """
+    check_known("form", form, FORMS)
     folder = Path(folder)
     check_new_folder(folder)
-    data, clipped, error = _contents(scene, spacing)
+    data, clipped, error = _contents(scene, spacing, form)
     made = not folder.exists()
     folder.mkdir(exist_ok=True)
     try:
@@ -100,7 +109,9 @@ def check_new_folder(folder: str | Path) -> None:
         raise FileNotFoundError(errno.ENOENT, "no such folder", str(folder.parent))
 
 
-def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, LambertError]:
+def _contents(
+    scene: Scene, spacing: float, form: str
+) -> tuple[dict[str, bytes], int, LambertError]:
     eye, maps, around, integrator = scene.eye, scene.maps, scene.environment, scene.integrator
     if not isinstance(integrator, Separable | RadiativeIntegrator):
         integrator = Separable()
@@ -111,18 +122,23 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
     remark = {"comments": said}
     bands, hazy = (colour_bands(scene.illuminant, scene.observer, c) for c in (None, eye.cornea))
     matt = Matt.of(scene.tissue, maps, eye, _joined(bands, hazy), integrator)
-    colour, through, spectral = np.split(_in_uv(matt.albedo()), [3, 6], axis=-1)
+    colour, through, spectral = np.split(np.asarray(matt.albedo()), [3, 6], axis=-1)
     if maps is not None and maps.residual is not None:
-        kept = _in_uv(maps.residual)
+        kept = np.asarray(maps.residual)
         colour, through = colour * kept, through * kept
     clear = eye.cornea is None or eye.cornea.scatter is None
     haze = None if clear else _haze(colour, through, bands, hazy)
     clipped = int(((colour < 0) | (colour > 1)).any(-1).sum())
     colour = np.clip(colour, 0, 1)
+    white = _white(scene)
+    if form == "glb":
+        lids = {name: right_handed(mesh) for name, mesh in lid_meshes(eye, spacing).items()}
+        data |= gltf_files(scene, meshes | lids, colour, white, haze)
+    colour = _in_uv(colour)
     encoded = np.asarray(srgb_encode(colour))
     data["albedo.exr"] = encode_exr("albedo.exr", colour, metadata=remark)
     data["albedo.png"] = encode_png("albedo.png", encoded, remark="simulated by irisjax")[0]
-    data["reflectance.exr"] = encode_exr("reflectance.exr", spectral, _LAYERS, remark)
+    data["reflectance.exr"] = encode_exr("reflectance.exr", _in_uv(spectral), _LAYERS, remark)
     relief = None if maps is None else maps.relief
     if relief is not None:
         remark, height = {"comments": "height, mm"}, _in_uv(relief[..., None])
@@ -132,7 +148,8 @@ def _contents(scene: Scene, spacing: float) -> tuple[dict[str, bytes], int, Lamb
     data["brdf.csv"] = _brdf(matt.first(3), scene.illuminant, integrator).encode()
     if around is not None:
         data["environment.exr"] = encode_exr("environment.exr", np.asarray(around.radiance))
-    xml = mitsuba_scene(scene, relief=relief is not None, white=_white(scene), haze=haze)
+    white = None if white is None else white.mean((0, 1))
+    xml = mitsuba_scene(scene, relief=relief is not None, white=white, haze=haze)
     data["scene.xml"] = xml.encode()
     error = matt.first(3).error()
     shares = error._asdict().items()
@@ -200,13 +217,14 @@ def _haze(colour: np.ndarray, through: np.ndarray, bands: Bands, hazy: Bands) ->
 
 
 def _white(scene: Scene) -> np.ndarray | None:
+    """Albedo of the white, linear sRGB (azimuths, polars, 3); (1, 1, 3) without vessels."""
     if scene.eye.sclera is None:
         return None
     bands = colour_bands(scene.illuminant, scene.observer, every=True)
     table = colour_table(scene.eye.sclera, np.asarray(bands.wavelengths), bands.weights)
     v = scene.veins
     blood = Blood(jnp.zeros((1, 1))) if v is None else Blood(v.depth, v.cover, v.deep)
-    return np.asarray(table(blood)).mean((0, 1))
+    return np.asarray(table(blood))
 
 
 def _brdf(matt: Matt, illuminant: str, integrator: AbstractIntegrator) -> str:

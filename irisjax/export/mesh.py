@@ -10,11 +10,14 @@ import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 from scipy import optimize
 
 from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.sclera import sphere
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_known, check_range, check_whole
 from irisjax.ocularist.coats import Coat, Painting
@@ -30,6 +33,11 @@ FORMATS = "obj", "ply"
 """Kinds of file that hold meshes."""
 
 _SPACING = Range(0, math.inf, "mm", above=True)
+# Made up, drawn from no face: lines of the upper and of the lower lid before an open eye, y = a + b
+# x², as far as the globe faces the viewer; height of a lid's edge, and of the tear meniscus; height
+# of the occlusion above the eye, which keeps the two apart in a depth buffer.
+_LIDS = (4.3, -0.034), (-5.3, 0.022)
+_WIDE, _EDGE, _MENISCUS, _LIFT = 9.0, 2.0, 0.25, 0.05  # mm
 
 
 def eye_meshes(eye: Eye, spacing: float = 0.1) -> "dict[str, Trimesh]":
@@ -80,6 +88,42 @@ def eye_meshes(eye: Eye, spacing: float = 0.1) -> "dict[str, Trimesh]":
         r[0], z[0], r[-1] = limbus, edge, 0.0
         meshes["sclera"] = _mesh(*_revolved(r, z, r, z - centre, around))
     return meshes
+
+
+def lid_meshes(eye: Eye, spacing: float = 0.1) -> "dict[str, Trimesh]":
+    """Strips along the lines of both lids, by name, for an eye with cornea and white (else none).
+
+    The model has no lids: the lines are made up, for an eye that gets lids elsewhere.
+
+    - `tear_line`: menisci, a quarter of a circle tangent to the eye and to the lid's edge.
+    - `occlusion`: ribbons close before the eye; their attribute `alpha` is the share of a uniform
+        sky's irradiance that an upright edge of height h takes from a plane,
+        (1 − s / √(s² + h²)) / 2 at distance s, here as seen from ahead.
+
+    Raises:
+        ValueError: for a spacing that is no positive number.
+    """
+    check_range("spacing", spacing, _SPACING)
+    if eye.cornea is None or eye.sclera is None:
+        return {}
+    turn, away = np.linspace(np.pi / 2, 0, 7), np.linspace(0, 3 * _EDGE, 25)
+    alpha = (1 - away / np.hypot(away, _EDGE)) / 2
+    tears, shades = [], []
+    x = np.linspace(-_WIDE, _WIDE, _steps(2 * _WIDE, spacing))
+    for height, bend in _LIDS:
+        y, slope, inwards = height + bend * x**2, 2 * bend * x, -np.sign(height)
+        edge, out = map(np.asarray, _front(eye, x, y))
+        across = np.cross(np.gradient(edge, axis=0), out) * inwards
+        across /= np.linalg.norm(across, axis=1, keepdims=True)
+        sin, cos = np.sin(turn)[:, None, None], np.cos(turn)[:, None, None]
+        points = edge + _MENISCUS * ((1 - sin) * across + (1 - cos) * out)
+        tears.append((points, sin * across + cos * out))
+        step = away[:, None] * inwards / np.hypot(slope, 1)
+        points, out = map(np.asarray, _front(eye, x - slope * step, y + step))
+        shades.append((points + _LIFT * out, out))
+    made = {"tear_line": _ribbons(tears), "occlusion": _ribbons(shades)}
+    made["occlusion"].vertex_attributes["alpha"] = np.tile(np.repeat(alpha, x.size), 2)
+    return made
 
 
 def cone_mesh(cones: Cones, around: int = AROUND) -> "Trimesh":
@@ -199,6 +243,35 @@ def _steps(length: float, spacing: float) -> int:
     return max(3, math.ceil(length / spacing) + 1)
 
 
+@eqx.filter_jit
+def _front(eye: Eye, x: Any, y: Any) -> tuple[Array, Array]:
+    """Points of cornea and white ahead of places (x, y), mm, and their normals."""
+    assert eye.cornea is not None
+    r = jnp.hypot(x, y)
+    inside = r <= eye.limbus_radius
+    found = []
+    for surface, radius in ((eye.cornea.anterior, jnp.where(inside, r, 0.0)), (sphere(eye), r)):
+        points = jnp.stack([x, y, surface.apex + surface.sagitta(radius)], axis=-1)
+        found.append((points, surface.normal(points)))
+    (cap, tilt), (globe, out) = found
+    within = inside[..., None]
+    return jnp.where(within, cap, globe), jnp.where(within, tilt, out)
+
+
+def _ribbons(strips: list[tuple[np.ndarray, np.ndarray]]) -> "Trimesh":
+    """Points and normals of the upper and of the lower lid's strip, rows from the lid's edge."""
+    upper, lower = (np.arange(p[..., 0].size).reshape(p.shape[:2]) for p, _ in strips)
+    faces = [_triangles(i[:, :-1], i[:, 1:]) for i in (upper, lower[:, ::-1] + upper.size)]
+    points, normals = (np.concatenate([s[k].reshape(-1, 3) for s in strips]) for k in (0, 1))
+    return _mesh(points, normals, np.concatenate(faces))
+
+
+def _triangles(here: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Triangles between rows of corners and those beside them."""
+    a, b, c, d = (corner.ravel() for corner in (here[:-1], after[:-1], here[1:], after[1:]))
+    return np.concatenate([np.stack([a, b, c], -1), np.stack([b, d, c], -1)])
+
+
 def _cap(surface: Conicoid, edge: float, spacing: float, around: int) -> "Trimesh":
     length = math.hypot(edge, float(_depth(surface, edge) - _depth(surface, 0)))
     r = np.linspace(0, edge, _steps(length, spacing))
@@ -259,8 +332,7 @@ def _revolved(
     index[r == 0] = index[r == 0][:, :1]
     after = index[:, 1:] if seam else np.roll(index, -1, axis=1)
     here = index[:, :-1] if seam else index
-    a, b, c, d = (corner.ravel() for corner in (here[:-1], after[:-1], here[1:], after[1:]))
-    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([b, d, c], -1)])
+    faces = _triangles(here, after)
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(1)]
     used, faces = np.unique(faces, return_inverse=True)
     length = np.hypot(np.where(r > 0, out, 0.0), along)

@@ -15,4 +15,4 @@ def bare(tmp_path_factory):
     maps = IrisMaps(eumelanin=sector(), freckles=0.02 * jnp.ones((72, 16)))
     scene = ij.Scene(ij.Iris.of_level("low"), maps, EYE, LAMPS, camera=CAMERA)
     folder = tmp_path_factory.mktemp("bare") / "eye"
-    return scene, folder, export_scene(folder, scene, spacing=0.3)
+    return scene, folder, export_scene(folder, scene, spacing=0.3, form="glb")

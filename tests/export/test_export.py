@@ -107,6 +107,13 @@ def test_files_go_together(bare):
     assert "map_Kd albedo.png" in (folder / "iris.mtl").read_text()
 
 
+def test_gltf_of_the_iris_alone(bare):
+    scene = trimesh.load_scene(bare[1] / "eye.glb", process=False)
+    assert set(scene.geometry) == {"iris", "pupil"}
+    names = {path.name for path in bare[1].glob("iris_*.png")}
+    assert names == {"iris_base_color.png", "iris_thickness.png"}  # no relief
+
+
 def test_folder_is_new_or_empty(tmp_path, monkeypatch):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine.txt").write_text("mine")
@@ -130,6 +137,7 @@ def test_folder_is_new_or_empty(tmp_path, monkeypatch):
         ((), "give a SCENE file or --preset"),
         (("--preset", "pink"), "--preset: unknown 'pink'"),
         (("--preset", "blue", "--spacing", "0"), "--spacing: 0 is outside [0.02, 2] mm"),
+        (("--preset", "blue", "--format", "fbx"), "--format: unknown 'fbx'; known: obj, glb"),
         (("--preset", "blue", "-o", "full"), "full: not empty; give a new folder"),
         (("--preset", "blue", "-o", "no/eye"), "no: no such folder"),
         (("bare.toml", "--pupil-radius", "6"), "--pupil-radius: 6 is outside [0.25, 4.75] mm"),
