@@ -77,7 +77,7 @@ def _studio(subject: Shown, size: str | None) -> Studio:
         file = file.without_residual() if subject.no_residual else file
     else:
         file = subject.read()
-    given: dict[str, Any] = {"exposure": file.exposure, "photograph": photograph}
+    given: dict[str, Any] = {"exposure": file.exposure, "photograph": photograph, "file": file}
     if subject.preset is not None:
         given |= {"preset": subject.preset, "seed": subject.seed, "environment": "studio"}
     return Studio(changed(file.scene(), size=size), kept_tables, **given)

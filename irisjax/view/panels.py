@@ -21,11 +21,12 @@ if TYPE_CHECKING:
 
 _ABL = "share of the melanin in the anterior border layer"
 _STROMA = "thickness relative to the preset's, at equal concentrations"
+_MELANIN = "mg/ml over the whole iris, on a logarithmic scale; its lower end is none"
 SLIDERS: dict[str, dict[str, tuple[str, float, float, float, str]]] = {
     "Photograph": {"photograph": ("photograph", 0, 1, 0.005, "share of the picture's width")},
     "Iris": {
-        "eumelanin": ("eumelanin", 0, 4, 0.005, "mg/ml over the whole iris"),
-        "pheomelanin": ("pheomelanin", 0, 2, 0.005, "mg/ml over the whole iris"),
+        "eumelanin": ("log₁₀ eumelanin", -3, 1, 0.02, _MELANIN),
+        "pheomelanin": ("log₁₀ pheomelanin", -3, 1, 0.02, _MELANIN),
         "abl_fraction": ("ABL fraction", 0, 1, 0.005, _ABL),
         "stroma": ("stroma", 0.3, 2, 0.01, _STROMA),
         "hemoglobin": ("blood", 0, 1, 0.002, "haemoglobin in the stroma, mmol/l"),
@@ -41,6 +42,8 @@ SLIDERS: dict[str, dict[str, tuple[str, float, float, float, str]]] = {
     },
 }
 """Sliders by folder and setting: label, lowest and highest value, step, hint."""
+LOGARITHMIC = "eumelanin", "pheomelanin"
+"""Settings whose sliders show their decadic logarithm."""
 ORBIT = 2.5  # of viser's camera, in units of its own
 BLACK = 16  # round the picture
 UP, DOWN = "up", "down"
@@ -117,9 +120,11 @@ class TissuePanel:
 
     def remarks(self) -> tuple[str, ...]:
         """Of the last picture."""
-        error, beside = self.studio.error, self.studio.settings.photograph
+        error, now = self.studio.error, self.studio.settings
+        melanin = f"eumelanin {now.eumelanin:.3g}, pheomelanin {now.pheomelanin:.3g} mg/ml"
         orders = "single scattering" if error is None else f"all orders, within {100 * error:.1g} %"
-        return orders, "left: photograph; right: simulated" if beside else "simulated"
+        beside = "left: photograph; right: simulated" if now.photograph else "simulated"
+        return melanin, orders, beside
 
 
 class CoatsPanel:
@@ -238,10 +243,25 @@ def sliders(gui: "viser.GuiApi", folder: str, settings: CommonSettings) -> dict[
     """Sliders of a folder of `SLIDERS`, by the names of settings; values widen their ranges."""
     made = {}
     for name, (label, low, high, step, hint) in SLIDERS[folder].items():
-        value = float(getattr(settings, name))
+        value = float(shown(name, getattr(settings, name)))
         low, high = float(min(low, value)), float(max(high, value))
         made[name] = gui.add_slider(label, low, high, float(step), value, hint=hint)
     return made
+
+
+def shown(name: str, value: Any) -> Any:
+    """What a widget shows for the value of a setting."""
+    if name not in LOGARITHMIC:
+        return value
+    lowest = SLIDERS["Iris"][name][1]
+    return lowest if value <= 10.0**lowest else math.log10(value)
+
+
+def meant(name: str, value: Any) -> Any:
+    """The value of a setting by what its widget shows."""
+    if name not in LOGARITHMIC:
+        return value
+    return 0.0 if value <= SLIDERS["Iris"][name][1] else 10.0**value
 
 
 def plot_scales(largest: float) -> dict[str, Any]:

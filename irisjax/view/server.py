@@ -16,7 +16,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from irisjax.view.bench import Bench
-from irisjax.view.panels import BLACK, ORBIT, CoatsPanel, TissuePanel, framed, orbit, sliders
+from irisjax.view.panels import (
+    BLACK,
+    ORBIT,
+    CoatsPanel,
+    TissuePanel,
+    framed,
+    meant,
+    orbit,
+    shown,
+    sliders,
+)
 from irisjax.view.session import QUICK
 from irisjax.view.studio import Studio
 
@@ -26,6 +36,8 @@ if TYPE_CHECKING:
 _VISERS = np.full(3, 3.0)  # where it puts its camera by itself
 _REST = 0.25  # s without a change before the fine picture replaces the draft
 _PATIENCE = 0.3  # s that other pigments may take without a draft
+_MOST_STEPS = 100  # that can be undone
+_SCENE = "scene.toml"
 
 
 def serve(
@@ -107,6 +119,7 @@ class _Page:
             if isinstance(studio, Bench)
             else TissuePanel(server.gui, studio)
         )
+        self.past: list[Any] = []  # settings of earlier pictures, the last one that of now
         self.first, self.spent = True, 0.0  # s for the last picture with other pigments
         self.width = studio.settings.width  # of the field at viser's `ORBIT`
         gui = server.gui
@@ -135,13 +148,30 @@ class _Page:
             widgets |= sliders(gui, "Light", now)
         for name, widget in widgets.items():
             widget.on_update(lambda event, name=name: self._moved(event, name))
+        if isinstance(studio, Studio):
+            undo = gui.add_button("undo", hint="the change before the last picture")
+            undo.on_click(lambda event: self._undo())
+            if studio.file is not None:
+                save = gui.add_button(
+                    f"save {_SCENE}", hint=f"draw it by: irisjax render {_SCENE} -o eye.png"
+                )
+                save.on_click(lambda event: self._save(event.client, studio))
         return widgets
+
+    def _undo(self) -> None:
+        if len(self.past) > 1:
+            self.past.pop()
+            self.worker.put(**vars(self.past[-1]))
+
+    def _save(self, client: "viser.ClientHandle | None", studio: Studio) -> None:
+        if client is not None:
+            client.send_file_download(_SCENE, studio.scene_text().encode())
 
     def _moved(self, event, name: str) -> None:
         if event.client is None:  # it is the page that follows the settings
             return
         # The photograph belongs to its own camera.
-        asked = {name: event.target.value}
+        asked = {name: meant(name, event.target.value)}
         if name == "photograph" and event.target.value > 0 and isinstance(self.studio, Studio):
             asked |= self.studio.photographed
         self.worker.put(**asked)
@@ -165,6 +195,8 @@ class _Page:
                 changes = {}
             spent = self._draw(False, changes)
             self.spent = spent if quick and not (wipe or self.first) else self.spent
+            if not self.past or self.past[-1] != self.studio.settings:
+                self.past = [*self.past, self.studio.settings][-_MOST_STEPS:]
             self.first = False
         except Exception as error:  # the page must outlive a setting that cannot be drawn
             self._say(f"{type(error).__name__}: {error}".replace("<", "&lt;"))
@@ -176,11 +208,14 @@ class _Page:
         clients = self.server.get_clients().values()
         for client in clients:
             self._send(client)
-        if changes.get("photograph") and self.worker.quiet(0):
-            self._beside(clients)
+        if self.worker.quiet(0):
+            if changes.get("photograph"):
+                self._beside()
+            if "preset" in changes or changes.get("photograph"):
+                self._turn(clients)
         self.panel.tell(self.first)
         for name, widget in self.widgets.items():
-            wanted = getattr(self.studio.settings, name)
+            wanted = shown(name, getattr(self.studio.settings, name))
             if "preset" in changes and widget.value != wanted:
                 widget.value = wanted
         (height, width, _), s = self.picture.shape, self.studio.settings
@@ -221,12 +256,15 @@ class _Page:
 
         follow(client.camera)
 
-    def _beside(self, clients) -> None:
-        """Slider and cameras as they must be for a photograph that is shown."""
+    def _beside(self) -> None:
+        """Set the slider as it must be for a photograph that is shown."""
         assert isinstance(self.studio, Studio)  # paint has no photograph
         slider, share = self.widgets["photograph"], self.studio.settings.photograph
         if slider.value == 0 and share:  # by a turn of the eye that the slider overtook
             slider.value = share
+
+    def _turn(self, clients) -> None:
+        """Put the browsers' cameras where the picture is seen from."""
         for client in clients:
             if self._asked(client.camera):
                 self._look(client.camera)

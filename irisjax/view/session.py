@@ -21,7 +21,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.picture import LitView, Texels, illuminate, respond, shade, texture
-from irisjax.render.project import View, look
+from irisjax.render.project import View, look, project
 from irisjax.render.scene import Scene
 
 GIVEN = "as given"
@@ -142,7 +142,7 @@ class Session(abc.ABC, Generic[S]):
 
     def update(self, *, draft: bool = False, **changes: Any) -> np.ndarray:
         """Return the picture after some changes: sRGB, 8 bits, (height, width, 3); a `draft` has
-        half of either side.
+        a quarter of either side.
 
         Raises:
             ValueError: A setting is unknown or cannot be drawn; the old settings are kept.
@@ -171,8 +171,11 @@ class Session(abc.ABC, Generic[S]):
 
     def _drawn(self, kept: KeptPicture, s: S, draft: bool) -> tuple[np.ndarray, float | None]:
         scene = self._set(s, self._size(draft))
-        # What the camera sees depends neither on the pupil nor on light.
-        view = kept.view.of(values_of(s, CAMERA), lambda: look(scene.eye, scene.camera))
+        # What the camera sees depends neither on the pupil nor on light. All pixels of a draft are
+        # drawn: `look` has other shapes, and programs, for every number of pixels, for which a
+        # camera that is dragged would have to wait.
+        see = _projected if draft else look
+        view = kept.view.of(values_of(s, CAMERA), lambda: see(scene.eye, scene.camera))
         surfaces = values_of(s, (*CAMERA, "environment", "strength", *self._SURFACES))
         texels = kept.texels.of(surfaces, lambda: texture(view, scene))
         grazing = self._grazing.of(values_of(s, LIGHT), scene.grazing)
@@ -211,9 +214,9 @@ class Session(abc.ABC, Generic[S]):
         return dataclasses.replace(self.settings, **changes)
 
     def _size(self, draft: bool) -> tuple[int, int]:
-        """Width and height of a picture; a draft has half of either."""
+        """Width and height of a picture; a draft has a quarter of either."""
         width, height = self._base.camera.size
-        return (max(width // 2, 1), max(height // 2, 1)) if draft else (width, height)
+        return (max(width // 4, 1), max(height // 4, 1)) if draft else (width, height)
 
     def _parts(self, s: S, size: tuple[int, int]) -> dict[str, Any]:
         """Lights, environment and camera of a scene."""
@@ -245,6 +248,9 @@ class Session(abc.ABC, Generic[S]):
 def encoded(picture: Any, exposure: float) -> np.ndarray:
     """Encode a linear picture as sRGB, 8 bits."""
     return np.asarray(_encoded(picture, jnp.asarray(exposure, picture.dtype)))
+
+
+_projected = eqx.filter_jit(project)
 
 
 @eqx.filter_jit

@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from irisjax.grow.presets import PRESETS
-from irisjax.io.scenes import stream
+from irisjax.io.scenes import SceneFile, stream
+from irisjax.io.sections import plain, toml_of
 from irisjax.measure.colour import Colour, colour_of
 from irisjax.measure.photometers import reflectance
 from irisjax.numerics.checks import Range, check_known, check_range
@@ -19,7 +20,7 @@ from irisjax.render.integrator import AbstractIntegrator
 from irisjax.render.integrators import INTEGRATORS, integrator_name
 from irisjax.render.picture import prepared_scene
 from irisjax.render.scene import Scene
-from irisjax.tissue.iris import Iris
+from irisjax.tissue.iris import LIMITS, Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.defaults import exact_solver
 from irisjax.transport.process import AbstractProcess
@@ -54,6 +55,7 @@ class Studio(Session[Settings]):
         scene: Scene,
         tables_of: Callable[[Scene], Illumination | None] = Scene.tables,
         photograph: RgbPicture | None = None,
+        file: SceneFile | None = None,
         **given: Any,
     ):
         """Begin with the settings of a scene.
@@ -63,9 +65,11 @@ class Studio(Session[Settings]):
             tables_of: Computes the illumination tables of a scene, or reads them.
             photograph: What the scene's camera saw, sRGB, 8 bits, sides in proportion to the
                 picture's; the left half of the first picture shows it.
+            file: The file of the scene, for `scene_text`.
             given: Settings that the scene does not hold, such as the name of its `preset`.
         """
         super().__init__(scene, tables_of)
+        self.file: SceneFile | None = file
         self._photograph = None if photograph is None else resized(photograph, scene.camera.size)
         self._growth = KeptValue[tuple[Iris, IrisMaps | None]]()
         self._made = KeptValue[AbstractIntegrator]()
@@ -113,6 +117,48 @@ class Studio(Session[Settings]):
         found = reflectance(self._iris(s), SPECTRUM_NM, solver=exact_solver(self._process(s)))
         colour = colour_of(SPECTRUM_NM, found.values, illuminant=self._base.illuminant)
         return np.asarray(found.values), colour
+
+    def scene_text(self) -> str:
+        """Text of a scene file of the present settings, for `irisjax render` and `irisjax view`;
+        files that it names have absolute names. Needs the `file` that the scene was read from.
+        """
+        assert self.file is not None
+        s, given = self.settings, self.file.sections
+        parts = {name: dict(given.get(name, {})) for name in ("iris", "maps", "eye", "camera")}
+        iris = self._iris(s)
+        fields = (*(name for name in LIMITS if name != "ipe_melanin"), "absorption")
+        numbers = {name: value for name in fields if (value := getattr(iris, name)) is not None}
+        preset = parts["iris"].get("preset") if s.preset == GIVEN else s.preset
+        parts["iris"] = ({} if preset is None else {"preset": preset}) | numbers
+        if s.preset != GIVEN:
+            parts["maps"] = {"seed": s.seed}
+        parts["eye"]["pupil_radius"] = s.pupil_radius
+        angles = {"polar_deg": s.camera_polar, "azimuth_deg": s.camera_azimuth}
+        size = self._base.camera.size
+        parts["camera"] |= {**angles, "width": s.width, "size": size}
+        picture = {"exposure": s.exposure, "integrator": s.integrator}
+        sections = {**parts, "picture": {**given.get("picture", {}), **picture}}
+        around = dict(given.get("environment", {})) if s.environment == GIVEN else {}
+        if s.strength > 0 and s.environment != "none":
+            around |= {} if s.environment == GIVEN else {"kind": s.environment}
+            sections["environment"] = around | {
+                "strength": around.get("strength", 1.0) * s.strength,
+                "lights": self._base.environment_lights,
+            }
+        lamps = [dict(lamp) for lamp in given.get("light", [])]
+        if lamps or s.irradiance > 0 or "environment" not in sections:
+            first, *others = lamps or [{}]
+            where = {"polar_deg": s.light_polar, "azimuth_deg": s.light_azimuth}
+            if (at := first.pop("position", None)) is not None:
+                lights = self.scene().lights
+                assert lights is not None
+                where = {"position": np.linalg.norm(at) * np.asarray(lights.towards[0])}
+            sections["light"] = [first | where | {"irradiance": s.irradiance}, *others]
+        for section in ("maps", "environment"):
+            if "file" in sections.get(section, {}):
+                path = self.file.folder / sections[section]["file"]
+                sections[section]["file"] = str(path.resolve())
+        return f"# An eye as it is set in `irisjax view`.\n{toml_of(plain(sections, 9))}"
 
     def _look(self, s: Settings):
         """What the pigments of a preset depend on."""

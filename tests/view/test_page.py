@@ -166,6 +166,34 @@ def test_a_slow_browser_is_put_where_the_scene_looks_from(bare):
 
 
 @pytest.mark.peer
+def test_changes_are_undone(bare):
+    viser = pytest.importorskip("viser")
+    with contextlib.redirect_stdout(io.StringIO()):
+        served = viser.ViserServer(port=0, verbose=False)
+    try:
+        page = server._Page(served, Studio(bare))
+
+        def work():
+            changes, page.worker._waiting = page.worker._waiting, None
+            page._show(changes)
+
+        for changes in ({}, {"eumelanin": 0.1}, {"eumelanin": 1.0, "width": 9.0}):
+            page.worker.put(**changes)
+            work()
+        page._undo()
+        work()
+        assert (page.studio.settings.eumelanin, page.studio.settings.width) == (0.1, 15.0)
+        assert page.widgets["eumelanin"].value == pytest.approx(-1.0)
+        page._undo()
+        page._undo()  # there is nothing before the first
+        work()
+        assert page.studio.settings.eumelanin == 1.0
+    finally:
+        with contextlib.redirect_stdout(io.StringIO()):
+            served.stop()
+
+
+@pytest.mark.peer
 @pytest.mark.parametrize("seconds", [0, 5])
 def test_ctrl_c_is_how_it_ends(tmp_path, seconds):
     """While it computes its first picture, too: nothing is said, the status is 0."""

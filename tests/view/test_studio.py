@@ -3,6 +3,7 @@
 import threading
 import time
 
+import jax
 import numpy as np
 import pytest
 from small import grown
@@ -14,7 +15,7 @@ from irisjax.grow.presets import PRESETS
 from irisjax.io.scenes import parse_scene, stream
 from irisjax.measure.colour import colour_of, srgb_encode
 from irisjax.render.picture import draw
-from irisjax.view import Studio, session, studio
+from irisjax.view import Studio, panels, session, studio
 from irisjax.view.server import Newest
 
 
@@ -63,9 +64,9 @@ def test_a_change_costs_what_it_must(bare, counted):
 def test_drafts_are_kept_apart(bare, counted):
     found = Studio(bare)
     fine = found.update()
-    assert found.update(draft=True).shape == (6, 8, 3)
+    assert found.update(draft=True).shape == (3, 4, 3)
     np.testing.assert_array_equal(found.update(), fine)
-    assert counted == {"look": 2, "texture": 2, "illuminate": 2, "respond": 1}
+    assert counted == {"look": 1, "texture": 2, "illuminate": 2, "respond": 1}
 
 
 def test_a_preset_brings_its_pigments(bare, monkeypatch):
@@ -150,3 +151,65 @@ def test_only_the_newest_is_computed():
     worker.stop()
     worker.join(10)
     assert seen == [{"a": 1}, {"a": 8, "b": 1}]
+
+
+_LAMP = """
+[iris]
+level = "low"
+[maps]
+uniform = true
+[eye]
+cornea = "f09"
+sclera = false
+[camera]
+size = [16, 12]
+[environment]
+kind = "sky"
+strength = 0.5
+[[light]]
+position = [30, 40, -120]
+colour = [1.0, 0.9, 0.8]
+"""
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"eumelanin": 0.3, "stroma": 1.5, "hemoglobin": 0.2, "exposure": 1.5},
+        {"light_polar": 20.0, "irradiance": 2.0, "strength": 1.5, "pupil_radius": 2.5},
+        {"environment": "none", "camera_polar": 30.0, "camera_azimuth": 120.0, "width": 9.0},
+        {"environment": "studio", "irradiance": 0.0, "integrator": "radiative-transfer"},
+    ],
+)
+def test_settings_as_a_scene_file(changes):
+    """The file that the page saves is read as the scene that it shows."""
+    file = parse_scene(_LAMP)
+    found = Studio(file.scene(), file=file)
+    found.settings = found._changed(changes)
+    again = parse_scene(found.scene_text())
+    assert again.exposure == pytest.approx(found.settings.exposure)
+    scenes = [found.scene(), again.scene()]
+    if "environment" in changes:  # pictures of it are coarser on the page
+        names = ["none", *(s.get("kind") for s in [again.sections.get("environment")] if s)]
+        assert names[-1] == changes["environment"]
+        scenes = [scene.replace(environment=None) for scene in scenes]
+    shown, read = map(jax.tree.leaves, scenes)
+    assert len(shown) == len(read)
+    for value, other in zip(shown, read, strict=True):
+        np.testing.assert_allclose(value, other, rtol=2e-6, atol=2e-6)
+
+
+def test_presets_as_a_scene_file(bare, monkeypatch):
+    monkeypatch.setattr(studio, "PRESETS", {"brown": lambda eye, process, key: grown()})
+    found = Studio(bare, file=parse_scene(_LAMP))
+    found.settings = found._changed({"preset": "brown", "seed": 3})
+    sections = parse_scene(found.scene_text()).sections
+    assert sections["iris"]["preset"] == "brown"
+    assert sections["iris"]["eumelanin"] == pytest.approx(found.settings.eumelanin)
+    assert sections["maps"] == {"seed": 3}
+
+
+def test_sliders_of_melanin_are_logarithmic():
+    assert panels.meant("eumelanin", panels.shown("eumelanin", 0.37)) == pytest.approx(0.37)
+    assert panels.meant("eumelanin", panels.shown("eumelanin", 0.0)) == 0.0
+    assert panels.shown("stroma", 1.3) == panels.meant("stroma", 1.3) == 1.3

@@ -76,7 +76,7 @@ def test_a_wipe_draws_nothing(still):
     found.update(eumelanin=2.0)
     assert len(drawn) == 2
     assert (found.update()[..., 0] == 10).all()
-    assert found.update(draft=True).shape == (15, 20, 3)
+    assert found.update(draft=True).shape == (7, 10, 3)
 
 
 def test_another_camera_hides_the_photograph(still):
