@@ -148,7 +148,7 @@ def _picture(eye: int, truth: Truth, found: Outlined, result: str, seconds: floa
         *(found.lighting.found if isinstance(found, Lit) else nan, off),
         *(_apart(truth.limbus, boundaries.limbus), _apart(truth.pupil, boundaries.pupil)),
         *(boundaries.limbus_confidence, boundaries.pupil_confidence),
-        found.response if isinstance(found, Fitted) and found.response is not None else nan,
+        found.morphology.response if isinstance(found, Fitted) else nan,
         *(float(v) for v in rms),
         *(steps, taus),
     )

@@ -129,7 +129,7 @@ def clone_to_texels(photograph: Photograph) -> Coloured:
     assert isinstance(found, Coloured)
     depth = np.asarray(found.maps().stroma_depth)
     shape = found.morphology._replace(thickness=found.texture.from_polar(depth))
-    return replace(found, morphology=shape)
+    return replace(found, estimate=lambda: shape)
 
 
 def simulated(colour: str, quick: bool) -> Photograph:
@@ -187,7 +187,7 @@ def _score(found: Fitted, truth: Truth, both: PictureDifference) -> tuple:
     true, seen = truth.thickness[used], estimate[used]
     generic = generic_thickness(found.texture.radius()[used])
     return (
-        np.nan if found.response is None else found.response,
+        np.nan if found.morphology.response is None else found.morphology.response,
         *correlation(found, truth.thickness, used),
         *(float(np.sqrt(((v - true) ** 2).mean())) for v in (seen, generic)),
         float(seen.mean()),

@@ -133,8 +133,7 @@ class CloneModel(opt.Group, panel="Model"):
         metavar="mm|fit",
     )
     relief: float = opt.number(
-        "share of the stroma's unevenness that stands out towards the cornea, {}; in light eyes "
-        "its shading is removed",
+        "share of the stroma's unevenness that stands out towards the cornea, {}",
         Range(0, 1),
         _DEFAULTS.relief,
         metavar="share",

@@ -67,11 +67,13 @@ def files_of(
         found[UNREFRACTED_PICTURE] = _png(encoded, sides)
         found[VISIBLE_MASK] = _png(clone.texture.valid)
     if isinstance(clone, Shaped):
-        shape = clone.morphology
-        span = max(float(np.abs(shape.deconvolved).max()), 1e-6)
-        found["freckles.png"] = _png(shape.freckles)
-        found["deconvolved.png"] = _png(0.5 + 0.5 * shape.deconvolved / span)
-        maps = clone.maps() if isinstance(clone, Fitted) else shape.maps
+        own = clone.texels if isinstance(clone, Coloured) else None
+        found["freckles.png"] = _png(clone.freckles)
+        if own is None:
+            contrast = clone.morphology.deconvolved
+            span = max(float(np.abs(contrast).max()), 1e-6)
+            found["deconvolved.png"] = _png(0.5 + 0.5 * contrast / span)
+        maps = clone.maps() if isinstance(clone, Fitted) else clone.morphology.maps
         found["maps.exr"] = encode_maps("maps.exr", maps)
     if isinstance(clone, Coloured) and clone.texels is not None:
         layers = np.moveaxis(clone.texels.deviations, 0, -1), clone.texels.hidden[..., None]
@@ -122,23 +124,25 @@ def summary_of(
                 "rotation_deg": math.degrees(laid.rotation),
             }
     if isinstance(clone, Shaped):
-        texture, shape = clone.texture, clone.morphology
+        texture = clone.texture
         radius = texture.radius()
         ring = (radius > texture.pupil_radius) & (radius < texture.iris_radius)
-        low, middle, high = np.quantile(shape.thickness[texture.valid], [0.025, 0.5, 0.975])
-        found |= {
-            "visible_share": texture.valid.sum() / ring.sum(),
-            "freckles_share": shape.freckles.sum() / ring.sum(),
-            "clamped_texels": shape.clamped,
-            "deconvolution_mm": shape.sigma_mm,
-            "stroma_thickness_mm": {"q2.5": low, "median": middle, "q97.5": high},
-        }
+        found["visible_share"] = texture.valid.sum() / ring.sum()
+        found["freckles_share"] = clone.freckles.sum() / ring.sum()
+        if isinstance(clone, Coloured) and clone.texels is not None:
+            thickness = texture.from_polar(np.asarray(clone.texels.maps.stroma_depth))
+        else:
+            shape = clone.morphology
+            thickness = shape.thickness
+            found["clamped_texels"], found["deconvolution_mm"] = shape.clamped, shape.sigma_mm
+            found["thickness_response"] = shape.response
+        low, middle, high = np.quantile(thickness[texture.valid], [0.025, 0.5, 0.975])
+        found["stroma_thickness_mm"] = {"q2.5": low, "median": middle, "q97.5": high}
     if isinstance(clone, Fitted):
         fit = clone.fit
         iris = iris_of_concentrations(fit.values, clone.base)
         found |= {
             "lamps_found": clone.lighting.found,
-            "thickness_response": clone.response,
             "estimate": fit.values | iris.layer_concentrations() | _by_volume(iris),
             "units": PIGMENT_UNITS | dict.fromkeys(_by_volume(iris), "%"),
             "windows_rms": fit.rms,

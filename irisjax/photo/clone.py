@@ -9,12 +9,12 @@ import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy import optimize
 
 from irisjax._types import PRNGKey
@@ -22,14 +22,7 @@ from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_known
 from irisjax.photo import pigments, texels
-from irisjax.photo.light import (
-    Lighting,
-    find_lighting,
-    find_veil,
-    light_at,
-    light_tangent,
-    shade_on,
-)
+from irisjax.photo.light import Lighting, find_lighting, find_veil, light_at, shade_on
 from irisjax.photo.masks import find_mirrored_face, part_of, place_of_part
 from irisjax.photo.outlines import MIN_CONFIDENCE, Boundaries, find_boundaries
 from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
@@ -43,7 +36,15 @@ from irisjax.photo.texture import (
     pixels_shown,
     unrefract,
 )
-from irisjax.photo.thickness import BETA, SIGMA, Morphology, generic_thickness, shape_maps
+from irisjax.photo.thickness import (
+    BETA,
+    SIGMA,
+    Morphology,
+    freckles_of,
+    generic_thickness,
+    shape_maps,
+    smooth_maps,
+)
 from irisjax.photo.windows import (
     Windows,
     average_maps,
@@ -98,8 +99,8 @@ class CloneSettings(NamedTuple):
         sigma: Width of the deconvolution (mm) with `beta`; `None` chooses the one with which the
             rendering is nearest to the photograph.
         beta: β of Eq. 7 (mm); `None` takes the model's own response of brightness to thickness.
-        relief: Share of the stroma's unevenness that stands out towards the cornea, 0 to 1. Its
-            shading is removed before the thickness is estimated, and the clone has that relief.
+        relief: Share of the stroma's unevenness that stands out towards the cornea, 0 to 1: the
+            clone's relief is so much of the thickness that `shape_maps` estimates.
         method: Search for the pigments, one of `METHODS`.
         integrator: Model of light in the iris.
         steps: Most steps of the posterior's chain.
@@ -200,9 +201,21 @@ class Flat(Posed):
 
 @dataclass(frozen=True)
 class Shaped(Flat):
-    """Stage 4: freckles and the stroma's thickness, at first by Eq. 7."""
+    """Stage 4: freckles, and the stroma's thickness, at first by Eq. 7.
 
-    morphology: Morphology
+    Attributes:
+        freckles: Mask of texels.
+        estimate: Makes `morphology`, once: a clone whose texels have their own thickness never
+            asks.
+    """
+
+    freckles: Bool[np.ndarray, "texels texels"]
+    estimate: Callable[[], Morphology]
+
+    @property
+    def morphology(self) -> Morphology:
+        """Freckles and one thickness for all pigments."""
+        return self.estimate()
 
 
 @dataclass(frozen=True)
@@ -241,8 +254,6 @@ class Fitted(Lit):
         base: Iris that fixes everything but melanins and scattering.
         fit: The best pigments and camera.
         integrator: Model of light in the iris.
-        response: d ln luminance / d ln thickness with which the thickness was estimated; `None` if
-            it comes from Eq. 7 or was given.
         exposure: Exposures of the three channels with which a picture of the clone is as bright as
             the photograph. The posterior's exposure is that of an iris with an average relief.
     """
@@ -251,7 +262,6 @@ class Fitted(Lit):
     base: Iris
     fit: pigments.PigmentFit
     integrator: Separable | RadiativeIntegrator
-    response: float | None
     exposure: Float[np.ndarray, "3"]
 
     def iris(self) -> Iris:
@@ -474,17 +484,22 @@ def flatten_iris(posed: Posed, given: Given = NOTHING) -> Flat:
 
 
 def shape_iris(flat: Flat, settings: CloneSettings, given: Given = NOTHING) -> Shaped:
-    """Find freckles, and estimate the stroma's thickness by Eq. 7 or take that of given maps."""
+    """Find freckles; the stroma's thickness is that of given maps or by Eq. 7."""
+    texture, freckles = flat.texture, freckles_of(flat.texture, given.freckles)
     beta = BETA if settings.beta is None else settings.beta
     sigma = SIGMA if settings.sigma is None else settings.sigma
-    texture = flat.texture
-    shape = shape_maps(texture, given.freckles, sigma_mm=sigma, beta=beta)
-    if given.maps is not None:
-        if (depth := given.maps.stroma_depth) is None:
-            raise ValueError("the maps that are given have no thickness of the stroma")
-        there = texture.from_polar(np.asarray(depth))
-        shape = shape._replace(maps=given.maps, thickness=there, clamped=0)
-    return Shaped(**vars(flat), morphology=shape)
+    if given.maps is not None and given.maps.stroma_depth is None:
+        raise ValueError("the maps that are given have no thickness of the stroma")
+
+    @cache
+    def estimate() -> Morphology:
+        shape = shape_maps(texture, freckles, sigma_mm=sigma, beta=beta)
+        if given.maps is None:
+            return shape
+        there = texture.from_polar(np.asarray(given.maps.stroma_depth))
+        return shape._replace(maps=given.maps, thickness=there, clamped=0)
+
+    return Shaped(**vars(flat), freckles=freckles, estimate=estimate)
 
 
 def light_eye(
@@ -509,12 +524,12 @@ def light_eye(
 
 
 def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitted:
-    """Fit the pigments of an average iris, or of the given maps; then estimate the thickness by the
-    response of the model with these pigments  [F09 Fig. 10].
+    """Fit the pigments of an average iris, or of the given maps; the thickness is then estimated by
+    the response of the model with these pigments  [F09 Fig. 10].
     """
-    eye, light, shape = lit.pose.eye, lit.lighting, lit.morphology
+    eye, light = lit.pose.eye, lit.lighting
     clear = lit.clear & iris_alone(lit.pose)
-    clear[lit.refraction.pixels(shape.freckles, clear.shape)] = False
+    clear[lit.refraction.pixels(lit.freckles, clear.shape)] = False
     # The veil of a room beside lamps tells how bright it is; of one that is assumed it is no model.
     alone = light.lamps is None and lit.veil is not None
     pixels, around = (lit.unveiled(), None) if alone else (lit.part, light.environment)
@@ -537,30 +552,42 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     fit = search(windows, base)
 
     known: dict[str, Any] = {"windows": windows, "base": base, "fit": fit}
+    known["integrator"] = settings.integrator
 
-    def fitted(shape: Morphology, response: float | None = None) -> Fitted:
-        shown = windows if given.maps is not None else windows_with(shape.maps)
+    def fitted(estimate: Callable[[], Morphology]) -> Fitted:
+        shown = windows
+        if given.maps is None:
+            smooth = has_texels(settings, given) and not settings.relief
+            shown = windows_with(smooth_maps(eye) if smooth else estimate().maps)
         exposure = pigments.exposures_for(fit, shown, base)
-        known.update(integrator=settings.integrator, response=response, exposure=exposure)
-        return Fitted(**vars(dataclasses.replace(lit, morphology=shape)), **known)
+        kept = dataclasses.replace(lit, estimate=estimate)
+        return Fitted(**vars(kept), **known, exposure=exposure)
 
     if given.maps is not None or (settings.beta is not None and settings.sigma is not None):
-        return fitted(shape)
+        return fitted(lit.estimate)
     if settings.beta is None:
-        return fitted(*_thickness_by_model(lit, windows, base, fit, settings.relief))
-    deconvolve = partial(shape_maps, lit.texture, shape.freckles, beta=settings.beta)
+        found = partial(_thickness_by_model, lit, windows, base, fit, settings.relief)
+        return fitted(cache(found))
+    deconvolve = partial(shape_maps, lit.texture, lit.freckles, beta=settings.beta)
 
     def deconvolved(width: float) -> Fitted:
-        return fitted(deconvolve(sigma_mm=width))
+        return fitted(cache(partial(deconvolve, sigma_mm=width)))
 
     return deconvolved(width_by_rendering(deconvolved))
 
 
-def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHING) -> Coloured:
-    """Solve every texel for its own pigments and thickness; where the thickness is given, is by
-    Eq. 7 or that of a second photograph, the iris keeps one pair of melanins.
+def has_texels(settings: CloneSettings, given: Given = NOTHING) -> bool:
+    """Return whether texels get a thickness and pigments of their own: not where the thickness is
+    given, by Eq. 7 or that of a second photograph.
     """
-    if given.maps is not None or given.second is not None or settings.beta is not None:
+    return given.maps is None and given.second is None and settings.beta is None
+
+
+def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHING) -> Coloured:
+    """Solve every texel for its own pigments and thickness if it `has_texels`; if not, the iris
+    keeps one pair of melanins.
+    """
+    if not has_texels(settings, given):
         return Coloured(**vars(fitted), texels=None)
     finest: Any = finer(fitted.integrator)
     fitted = dataclasses.replace(fitted, integrator=finest)
@@ -653,7 +680,7 @@ def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tup
             model.append("the photograph has no colours: the pigments are meaningless")
         model += (odd := pigments.misfits(found.fit, found.windows))
         # Where every texel has a thickness of its own, that by the response is not the clone's.
-        response = found.response if own is None else None
+        response = found.morphology.response if own is None else None
         if odd and response is not None:
             model.append(f"the thickness is that of a usual iris, whose response is {response:.2f}")
         elif response is not None and response < _LEAST_RESPONSE:
@@ -736,28 +763,24 @@ def _light_on_part(lit: Lit) -> np.ndarray | None:
 
 def _thickness_by_model(
     lit: Lit, windows: Windows, base: Iris, fit: pigments.PigmentFit, relief: float
-) -> tuple[Morphology, float]:
-    """Thickness by the model's response of luminance to thickness, and that response."""
-    eye, texture, freckles = lit.pose.eye, lit.texture, lit.morphology.freckles
+) -> Morphology:
+    """Thickness by the model's response of luminance to thickness."""
+    eye, texture, freckles = lit.pose.eye, lit.texture, lit.freckles
     iris = usual = fit.iris(base)
     if pigments.misfits(fit, windows):  # the fitted iris is not one to estimate the thickness with
         medians = pigments.parameter_values(np.zeros(len(pigments.FREE_NAMES)))
         usual = pigments.iris_of_concentrations(medians, base)
-    response, lights = windows.thickness_response(usual), lit.lighting.lights()
-    shade, slopes, darkness = None, (0.0, 0.0), None
+    shade = darkness = None
     if lit.second is None:  # the light of a second photograph is not known
         room = fit.values["room"] if lit.lighting.room else 0.0
-        shade = shade_on(texture, lights, room, eye, lit.tables)
-    if relief > 0:
-        x, y = light_tangent(lights, eye, lit.tables)
-        slopes = -relief * x, -relief * y
+        shade = shade_on(texture, lit.lighting.lights(), room, eye, lit.tables)
     if freckles.any():
         shares = np.linspace(0, 1, 21) ** 2
         darkness = np.stack([shares, windows.freckle_response(iris, shares)])
-    known: dict[str, Any] = {"response": response, "slopes": slopes, "sigma_mm": 0.0}
+    known: dict[str, Any] = {"response": windows.thickness_response(usual), "sigma_mm": 0.0}
     shape = shape_maps(texture, freckles, shade=shade, darkness=darkness, **known)
     if relief > 0:
         height = relief * (shape.thickness - generic_thickness(texture.radius()))
         limited = jnp.clip(jnp.asarray(texture.to_polar(height)), -1, 1)
         shape = shape._replace(maps=shape.maps.replace(relief=limited))
-    return shape, response
+    return shape

@@ -105,18 +105,6 @@ def find_veil(
     return np.maximum(found, 0)
 
 
-def light_tangent(lights: Lights, eye: Eye, tables: Illumination | None) -> tuple[float, float]:
-    """Return horizontal over vertical part, along x and y, of the light on the iris in the chamber,
-    a mean weighted by irradiance.
-    """
-    flux = np.asarray(fluxes_of(lights, eye, tables, 41)).sum(0)
-    line = np.linspace(-1, 1, flux.shape[-1])
-    inside = np.hypot(line[None], line[:, None]) < 0.85
-    x, y, z = (part[inside].sum() for part in flux)
-    # Towards the light, against its direction of travel.
-    return float(-x / z), float(-y / z)
-
-
 def light_at(
     x: np.ndarray, y: np.ndarray, lights: Lights, eye: Eye, tables: Illumination | None
 ) -> np.ndarray:

@@ -10,6 +10,7 @@ import scipy.fft
 from jaxtyping import Float
 from scipy import ndimage
 
+from irisjax.anatomy.eye import Eye
 from irisjax.grow.procedural import stroma_profile
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_range
@@ -32,13 +33,11 @@ SHADE_WIDTH, SHADE_SHARE = 0.4, 0.5
 to thickness. Light that falls off within less than a millimetre makes contrast as thickness does;
 in simulated photographs the two correlate by 0.3 to 0.5 in the shade, and by 0.8 to 0.9 elsewhere.
 """
-_TYPICAL = 0.4  # mean thickness of a stroma, mm, which sets the share of shading in the contrast
 # Other sources of contrast: standard deviation of ln luminance by pigment, vessels and folds (about
 # 0.05) over that of ln thickness (about 0.2), both assumed.
 _OTHER = 0.25
 _MID_GREY = 0.18  # linear luminance to which the surroundings of each texel are exposed
 _RESPONSES = Range(-5, 5)  # next to 0 where the stroma is opaque
-_LEAST_RESPONSE = 1e-3  # below it the Fourier factor of shading would be 0 / 0
 _NOISE_WIDTH = 0.05  # mm, of the Gaussian along the radius that removes the sensor's noise
 _ARC_LENGTH, _ARC_WIDTH = 0.7, 0.05  # mm, of the neighbourhood along an arc and across it
 ARC_LIGHT = 0.75
@@ -60,6 +59,8 @@ class Morphology(NamedTuple):
         thickness: Thickness of the stroma, mm [F09 Eq. 7], complete.
         clamped: Number of valid texels whose thickness was outside the allowed range.
         sigma_mm: Width of the deconvolution.
+        response: d ln luminance / d ln thickness with which the thickness was estimated; `None` if
+            it comes from Eq. 7 or was given.
     """
 
     maps: IrisMaps
@@ -68,6 +69,7 @@ class Morphology(NamedTuple):
     thickness: Brightness
     clamped: int
     sigma_mm: float
+    response: float | None = None
 
 
 def shape_maps(
@@ -77,7 +79,6 @@ def shape_maps(
     sigma_mm: float = SIGMA,
     beta: float = BETA,
     response: float | None = None,
-    slopes: tuple[float, float] = (0.0, 0.0),
     shade: Mask | None = None,
     darkness: Float[np.ndarray, "2 shares"] | None = None,
     shape: tuple[int, int] = MAP_SHAPE,
@@ -91,23 +92,14 @@ def shape_maps(
         beta: Thickness per encoded pixel value, mm  [F09 Eq. 7].
         response: The model's response, used by `relative_thickness` in place of `beta` and Eq. 7;
             the photograph is then taken as linear luminance.
-        slopes: Shading by relief to be removed, see `unshade`; needs `response`.
         shade: Texels that lamps hardly reach; used with `response`.
         darkness: Shares of a freckle and the luminance of each over the iris's own, which falls
             with the share; without it freckles are whole.
         shape: Angles and radii of the maps.
     """
     valid, texel = texture.valid, texture.millimetres_per_texel
-    if freckles is None:
-        freckles = find_freckles(texture)
-    elif freckles.shape != valid.shape:
-        raise ValueError(f"the freckle mask is {freckles.shape}, the texture {valid.shape}")
-    if response is None and slopes != (0, 0):
-        raise ValueError("slopes of the shading need a response of luminance to thickness")
-    known = valid & ~freckles
-    if not known.any():
-        raise ValueError("the texture has no texel that shows the iris beside freckles")
-    filled = fill_holes(texture.pixels, ~known)
+    freckles = freckles_of(texture, freckles)
+    filled = fill_holes(texture.pixels, ~(valid & ~freckles))
     # Filled freckles and small holes take part; texels outside the iris do not.
     shown = valid | freckles
     luminance = texture._replace(pixels=filled).luminance()
@@ -118,7 +110,6 @@ def shape_maps(
     else:
         normalised = local_contrast(luminance, shown, shade, texel)
         normalised = along_fibres(normalised, shown, texture, response)
-        normalised = unshade(normalised, shown, slopes, response, texel)
         estimate = partial(relative_thickness, response=response)
     normalised = np.maximum(normalised, np.float32(-0.99))
     deconvolved = deconvolve(normalised, shown, sigma_mm, texel)
@@ -134,7 +125,27 @@ def shape_maps(
     maps = IrisMaps(stroma_depth=jnp.asarray(texture.to_polar(found, shape)))
     if freckles.any():  # limited against the rounding of means
         maps = maps.replace(freckles=jnp.asarray(np.clip(texture.to_polar(spots, shape), 0, 1)))
-    return Morphology(maps, freckles, deconvolved, found, int((clamped & shown).sum()), sigma_mm)
+    count = int((clamped & shown).sum())
+    return Morphology(maps, freckles, deconvolved, found, count, sigma_mm, response)
+
+
+def freckles_of(texture: Unrefracted, given: Mask | None = None) -> Mask:
+    """Return the user's mask of freckles or that of `find_freckles`; `ValueError` if it has another
+    shape or leaves nothing of the iris.
+    """
+    freckles = find_freckles(texture) if given is None else given
+    if freckles.shape != texture.valid.shape:
+        raise ValueError(f"the freckle mask is {freckles.shape}, the texture {texture.valid.shape}")
+    if not (texture.valid & ~freckles).any():
+        raise ValueError("the texture has no texel that shows the iris beside freckles")
+    return freckles
+
+
+def smooth_maps(eye: Eye) -> IrisMaps:
+    """Return the generic thickness of an eye's iris, without any texture."""
+    share = (np.arange(MAP_SHAPE[1]) + 0.5) / MAP_SHAPE[1]
+    depth = generic_thickness(np.asarray(eye.from_axis(jnp.asarray(share))))
+    return IrisMaps(stroma_depth=jnp.asarray(np.broadcast_to(depth, MAP_SHAPE)))
 
 
 def along_fibres(
@@ -305,36 +316,6 @@ def relative_thickness(
     found = generic_thickness(radius) * grown
     clamped = (found < THINNEST) | (found > _THICKEST)
     return np.clip(found, THINNEST, _THICKEST), clamped
-
-
-def unshade(
-    contrast: Brightness, valid: Mask, slopes: tuple[float, float], response: float, texel: float
-) -> Brightness:
-    """Return the contrast of linear luminance without the shading by relief.
-
-    Light from aside brightens what rises towards it, so a picture contains the thickness and its
-    derivative. To first order contrast is `response` h / T + s · ∇h, h being the deviation from the
-    mean thickness T; in Fourier space that is one factor, which is divided out. The slopes s along
-    x and y (mm per mm) are minus the share of the unevenness that stands out towards the cornea
-    (0.3 in `procedural`) times the lights' horizontal over their vertical components in the
-    chamber, means weighted by irradiance.
-    """
-    check_range("slopes", slopes, Range(-2, 2))
-    check_range("response", response, _RESPONSES)
-    if slopes == (0, 0):
-        return contrast
-    # Relief shades an iris even if its thickness does not show.
-    response = math.copysign(max(abs(response), _LEAST_RESPONSE), response)
-    known = np.where(valid, contrast, np.float32(0))
-    shape = [scipy.fft.next_fast_len(n + n // 8, real=True) for n in valid.shape]
-    up = -scipy.fft.fftfreq(shape[0], texel).astype(np.float32)[:, None]
-    right = scipy.fft.rfftfreq(shape[1], texel).astype(np.float32)
-    of_height = np.float32(response / _TYPICAL)
-    along = np.float32(2 * np.pi) * (np.float32(slopes[0]) * right + np.float32(slopes[1]) * up)
-    factor = of_height + np.complex64(1j) * along
-    spectrum = np.asarray(scipy.fft.rfft2(known, shape)) * (of_height / factor)
-    found = np.asarray(scipy.fft.irfft2(spectrum, shape))[: valid.shape[0], : valid.shape[1]]
-    return np.where(valid, found, np.float32(0))
 
 
 def _ratio(values: np.ndarray, weights: np.ndarray) -> np.ndarray:

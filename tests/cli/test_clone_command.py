@@ -22,6 +22,7 @@ from irisjax.photo.outlines import Boundaries
 from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pigments import FREE_NAMES, PRIORS, PigmentFit, PigmentPosterior
 from irisjax.photo.texture import follow_refraction
+from irisjax.photo.thickness import Morphology
 from irisjax.photo.windows import Windows
 
 DATA = Path(__file__).parent.parent.parent / "data" / "photographs"
@@ -235,7 +236,7 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
         False,
     )
     reason = "150 steps are 3 autocorrelation times, not 50"
-    every = np.ones(10)
+    every, dark = np.ones(10), np.zeros((2, 2))
     chains = Chains(
         *(np.zeros((1, 1, 10)), np.zeros((1, 1)), 1, 150, 0.5, every, every, every, every),
         status=ChainStatus.few_autocorrelation_times,
@@ -260,7 +261,7 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
         lighting=SimpleNamespace(found=0),
         windows=windows,
         fit=fit,
-        response=0.05,
+        estimate=lambda: Morphology(ij.IrisMaps(), dark > 0, dark, dark, 0, 0.0, 0.05),
         texels=SimpleNamespace(gain=4.0, outside=0.2),
         posterior=PigmentPosterior({}, {}, np.zeros((1, 10)), chains),
     )

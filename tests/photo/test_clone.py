@@ -1,5 +1,6 @@
 """Stages of a clone: the texture, its thickness against the truth, and a second photograph."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -77,11 +78,10 @@ def test_a_pupil_fades_about_its_outline_as_wide_as_the_photograph_is_blurred(po
 def test_thickness_of_a_photographed_iris_comes_back(alone):
     """The paper's method is better than the generic iris, and the model's than the paper's."""
     truth, shaped = true_thickness("blue", alone.texture), shape_iris(alone, SETTINGS)
-    freckles = shaped.morphology.freckles
 
     def score(**options):
-        vars(shaped)["morphology"] = shape_maps(alone.texture, freckles, **options)
-        return correlation(shaped, truth.thickness, truth.used)[0]
+        made = partial(shape_maps, alone.texture, shaped.freckles, **options)
+        return correlation(replace(shaped, estimate=made), truth.thickness, truth.used)[0]
 
     paper, ours = score(), score(response=0.6, sigma_mm=0.0)
     assert 0 < paper < ours

@@ -1,11 +1,10 @@
 """Lamps from their images on the cornea."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from irisjax.anatomy.eye import Eye
-from irisjax.photo.light import find_lighting, light_tangent, shade_on
+from irisjax.photo.light import find_lighting, shade_on
 from irisjax.photo.pose import Pose
 from irisjax.photo.texture import Unrefracted, texels_of
 from irisjax.render.camera import Camera
@@ -77,15 +76,6 @@ def test_without_a_highlight_light_comes_from_all_round(pose):
     assert len(lights.irradiance) > 10
     mean = (np.asarray(lights.irradiance)[:, None] * np.asarray(lights.towards)).sum(0)
     np.testing.assert_allclose(mean[:2], 0, atol=0.05)
-
-
-def test_light_from_the_right_leans_to_the_right():
-    eye = Eye(cornea=None, sclera=None)
-    lights = Lights.distant(jnp.asarray([0.5]), jnp.asarray([0.0]))
-    x, y = light_tangent(lights, eye, None)
-    # Refracted at the flat front of a chamber without a cornea.
-    assert 0 < x <= np.tan(0.5) + 1e-6
-    assert y == pytest.approx(0, abs=1e-9)
 
 
 def test_the_limbus_shades_the_side_of_the_lamp():

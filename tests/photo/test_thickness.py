@@ -19,7 +19,6 @@ from irisjax.photo.thickness import (
     relative_luminance,
     relative_thickness,
     shape_maps,
-    unshade,
 )
 
 TEXEL = 12 / 128
@@ -120,30 +119,12 @@ def test_relative_thickness_is_the_estimate_of_least_error(response):
     np.testing.assert_allclose(back, thicker * 0.36 / (0.36 + 1 / 16), rtol=1e-3, atol=1e-5)
 
 
-def test_shading_by_relief_is_taken_off():
-    height = 0.05 * _pattern(3.0)  # mm
-    down, right = np.gradient(height, TEXEL)
-    contrast = 0.6 * height / 0.4 + 0.1 * right + 0.15 * -down  # rows run against y
-    flat = unshade(contrast, np.ones_like(RING), (0.1, 0.15), 0.6, TEXEL)
-    inner = slice(12, -12)
-    expected = (0.6 * height / 0.4)[inner, inner]
-
-    def error(picture):
-        return np.abs(picture[inner, inner] - expected).max()
-
-    assert error(flat) < 0.2 * error(contrast)
-    np.testing.assert_array_equal(unshade(contrast, RING, (0.0, 0.0), 0.6, TEXEL), contrast)
-
-
 def test_a_thickness_that_does_not_show_is_the_average():
     """An opaque iris: no number is out of range, and nothing is told."""
     contrast = 0.2 * _pattern(2.0)
     found, clamped = relative_thickness(R, contrast, 0.0)
     np.testing.assert_allclose(found, generic_thickness(R), rtol=1e-6)
     assert not clamped.any()
-    for response in (0.0, 1e-4, -1e-4):
-        flat = unshade(contrast, np.ones_like(RING), (0.1, 0.15), response, TEXEL)
-        assert np.abs(flat).max() < np.abs(contrast).max()
 
 
 @pytest.mark.parametrize(
@@ -154,10 +135,8 @@ def test_a_thickness_that_does_not_show_is_the_average():
         (lambda p: deconvolve(p, np.zeros_like(RING), 0.5, TEXEL), "no texel is valid"),
         (lambda p: f09_thickness(R, p, np.nan), "beta = nan mm"),
         (lambda p: relative_thickness(R, p, 9.0), "response = 9"),
-        (lambda p: unshade(p, RING, (9.0, 0.0), 0.6, TEXEL), "slopes = 9"),
         (lambda p: shape_maps(_texture(), _texture().valid), "no texel that shows the iris"),
         (lambda p: shape_maps(_texture(), np.zeros((2, 2), bool)), "the freckle mask is"),
-        (lambda p: shape_maps(_texture(), slopes=(0.1, 0.0)), "need a response"),
     ],
 )
 def test_what_cannot_be(call, message):
