@@ -1,10 +1,11 @@
-"""Pieces of a batch's work: done one after the other in this process, or by dask.distributed in
-worker processes of this machine or of a cluster.
+"""Pieces of the work on a batch or on a cube: done one after the other in this process, or by
+dask.distributed in worker processes of this machine or of a cluster.
 
 Results do not depend on where a piece is done, nor on how often: a piece whose worker or scheduler
 dies is done again.
 """
 
+import itertools
 import logging
 import sys
 import time
@@ -26,17 +27,22 @@ _CONNECTING = 10  # seconds in which one must answer at first
 
 class Workers(opt.Group, panel="Workers"):
     workers: int | None = opt.whole(
-        "with --batch: processes of this machine among which eyes are dealt, {}", Range(1, 512)
+        "number of processes of this machine among which the eyes of --batch, or the pixels of a "
+        "cube, are shared, {}",
+        Range(1, 512),
     )
     scheduler: str | None = opt.option(
-        "with --batch: address of a dask.distributed scheduler, among whose workers eyes are dealt",
+        "address of a dask.distributed scheduler, among whose workers these are shared",
         metavar="ADDRESS",
     )
 
-    def check(self, batch: object) -> None:
-        """Raise `ValueError` for options that mean nothing beside the others."""
+    def __post_init__(self) -> None:
+        super().__post_init__()
         if self.workers is not None and self.scheduler is not None:
             raise ValueError("--workers starts processes here, --scheduler uses others: give one")
+
+    def check(self, batch: object) -> None:
+        """Raise `ValueError` for options that mean nothing without a batch."""
         if batch is None and (self.workers or self.scheduler):
             name = "--workers" if self.workers else "--scheduler"
             raise ValueError(f"{name} means something only with --batch")
@@ -61,21 +67,21 @@ def each(
     function: Callable[..., Any], pieces: Mapping[_Key, tuple[Any, ...]], workers: Workers
 ) -> Iterator[tuple[_Key, Any]]:
     """Yield names of pieces and what a module's `function` returns for their arguments, in the
-    order in which they are done.
+    order in which they are done. Arguments are looked up when a piece is begun.
 
     In other processes an exception of one piece is its result, as `Lost`; here it is raised.
     """
     if not workers.elsewhere:
-        for name, arguments in pieces.items():
-            yield name, function(*arguments)
+        for name in pieces:
+            yield name, function(*pieces[name])
         return
-    left, since = dict(pieces), None
+    left, since = dict.fromkeys(pieces), None
     with _scheduler_of(workers) as (address, shares):
         while left:
             done = len(left)
             with _connected(address, _CONNECTING if since is None else _PATIENCE) as client:
                 client.register_plugin(import_module("irisjax.cli.worker").Ready(shares))
-                yield from _until_lost(client, function, left)
+                yield from _until_lost(client, function, pieces, left)
             if left:  # the scheduler is gone, or has forgotten
                 lost = time.monotonic()
                 since = lost if since is None or len(left) < done else since
@@ -85,18 +91,21 @@ def each(
 
 
 def _until_lost(
-    client: Any, function: Callable[..., Any], left: dict[_Key, tuple[Any, ...]]
+    client: Any,
+    function: Callable[..., Any],
+    pieces: Mapping[_Key, tuple[Any, ...]],
+    left: dict[_Key, None],
 ) -> Iterator[tuple[_Key, Any]]:
     """Take pieces from those that are left until none is, or the scheduler has lost them."""
-    waiting = iter(list(left.items()))
+    waiting = iter(list(left))
     names: dict[Any, _Key] = {}
     finished = import_module("distributed").as_completed(loop=client.loop)
 
     def submit() -> None:
         ahead = _PIECES_AHEAD * max(1, sum(client.ncores().values()))
-        while len(names) < ahead and (piece := next(waiting, None)) is not None:
-            future = client.submit(function, *piece[1], pure=False)
-            names[future] = piece[0]
+        for name in itertools.islice(waiting, max(0, ahead - len(names))):
+            future = client.submit(function, *pieces[name], pure=False)
+            names[future] = name
             finished.add(future)
 
     try:

@@ -3,7 +3,7 @@
 import contextlib
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import irisjax as ij
 from irisjax import io
 from irisjax._interrupt import unfinished
 from irisjax.cli import options as opt
+from irisjax.cli.engine import Lost, Workers, each
 from irisjax.cli.files import check_folder
 from irisjax.cli.fit_options import EPILOG as EPILOG
 from irisjax.cli.fit_options import PixelModel, SpectralMeasurement
@@ -43,6 +44,7 @@ _SAMPLE = 1024  # pixels of the coarse level, in which all others find their sta
 _SHOWN = 1024  # rows and columns of a picture, at most
 _RADIUS = 512  # of the limbus in the maps for the renderers, texels at most
 _MANY = 0.1  # share of misfits that is doubted
+_UNFITTED = PixelFlag.MASKED | PixelFlag.NOT_A_NUMBER | PixelFlag.SATURATED
 FLAGS = {
     PixelFlag.MASKED: "masked",
     PixelFlag.NOT_A_NUMBER: "no number in a band",
@@ -112,7 +114,11 @@ class MapFiles(opt.Group, panel="Files"):
 
 @opt.grouped
 def map_command(
-    measured: CubeMeasurement, pixels: PixelChoice, model: PixelModel, files: MapFiles
+    measured: CubeMeasurement,
+    pixels: PixelChoice,
+    model: PixelModel,
+    files: MapFiles,
+    workers: Workers,
 ) -> None:
     """Map the pigments of an iris from a hyperspectral cube, with standard deviations.
 
@@ -136,7 +142,7 @@ def map_command(
             found = fitting.fit_pixels(problem, sample, starts, pool.map)
             starts = fitting.starts_at(problem, found.z, pool.map)
         with _new_folder(folder), replacing(folder / "maps.nc") as made:
-            counts = _written(made, source, problem, starts, measured, pool)
+            counts = _written(made, source, problem, starts, measured, workers)
             _draw(made, folder, problem, outlines)
     rows, columns, _ = source.cube.shape
     said = [f"{n} {FLAGS[flag]}" for flag, n in counts.items() if n]
@@ -245,11 +251,10 @@ def _written(
     problem: ij.Problem,
     starts: Starts,
     measured: CubeMeasurement,
-    pool: ThreadPoolExecutor,
+    workers: Workers,
 ) -> dict[PixelFlag, int]:
     """Fit all pixels into a file; how many have each flag."""
-    rows, columns, _ = source.cube.shape
-    step, counts = max(1, _CHUNK // columns), dict.fromkeys(FLAGS, 0)
+    (rows, columns, _), counts = source.cube.shape, dict.fromkeys(FLAGS, 0)
     names = problem.fitted
     form = dict(zip(problem.free, map(repr, problem.priors), strict=True))
     variables: dict[str, Any] = {}
@@ -284,13 +289,11 @@ def _written(
         writing_maps(path, (rows, columns), variables, along, attributes) as write,
         tqdm(total=rows * columns, **how) as bar,
     ):
-        for first in range(0, rows, step):
-            values, flags = source.read(first, min(first + step, rows))
-            good = flags == 0
-            found: dict[str, np.ndarray] = {}
-            if good.any():
-                fits = fitting.fit_pixels(problem, values[good], starts, pool.map)
-                found, flags[good] = _maps(fits), fits.flags
+        for first, done in each(_fitted, _Pieces(source, problem, starts), workers):
+            if isinstance(done, Lost):
+                raise ValueError(f"{source.cube.path}, row {first} and those below: {done.why}")
+            flags, found = done
+            good = flags & _UNFITTED == 0
             for name, (more, dtype, _) in variables.items():
                 shape = (*flags.shape, *(len(names) for _ in more))
                 array = flags if name == "flag" else np.full(shape, np.nan, dtype)
@@ -301,6 +304,39 @@ def _written(
                 counts[flag] += int(((flags & flag) > 0).sum())
             bar.update(flags.size)
     return counts
+
+
+class _Pieces(Mapping[int, tuple[Any, ...]]):
+    """Arguments of `_fitted` for some rows, by the first of these; read when they are needed."""
+
+    def __init__(self, source: Reflectances, problem: ij.Problem, starts: Starts):
+        self._source, self._more = source, (problem, starts)
+        rows, columns, _ = source.cube.shape
+        self._rows, self._step = rows, max(1, _CHUNK // columns)
+
+    def __getitem__(self, first: int) -> tuple[Any, ...]:
+        read = self._source.read(first, min(first + self._step, self._rows))
+        return *read, *self._more
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(range(0, self._rows, self._step))
+
+    def __len__(self) -> int:
+        return len(range(0, self._rows, self._step))
+
+
+def _fitted(
+    values: np.ndarray, flags: np.ndarray, problem: ij.Problem, starts: Starts
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Flags of rows, and the maps of those pixels that are fitted."""
+    good = flags == 0
+    if not good.any():
+        return flags, {}
+    with ThreadPoolExecutor(cores()) as pool:
+        fits = fitting.fit_pixels(problem, values[good], starts, pool.map)
+    flags = flags.copy()  # what comes from another process cannot be changed
+    flags[good] = fits.flags
+    return flags, _maps(fits)
 
 
 def _has_abl(names: list[str]) -> bool:
