@@ -16,7 +16,7 @@ from irisjax.optics.conicoid import dot, joined, norm
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.polynomials import along_nodes, polynomials
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import flux_at, normals, shares
+from irisjax.render.shading import flux_at, shares, tilted
 from irisjax.tissue.iris import Iris
 from irisjax.transport.light import Directions
 
@@ -157,20 +157,21 @@ def light_of(
     flux: Float[Array, "lights 3 rows columns"],
     tint: Float[Array, "lights 3"] | None,
     eye: Eye,
-    slopes: Float[Array, "2 angles radii"] | None,
+    relief: Float[Array, "3 angles radii"] | None,
     angles: AngularFunctions,
 ) -> Float[Array, "tints functions pixels"]:
     """Sum over the lights of irradiance times the functions of directions and the share that
     reaches the camera.
     """
     flat = eye.iris_normal(joined(seen.point))
-    tilted = joined(normals(seen, eye, slopes))
+    normal, sky = tilted(seen, eye, relief)
+    normal = joined(normal)
     view = joined(seen.direction)
 
     def add(total, light):
         one, colour = light
         arriving = joined(tuple(flux_at(one, eye.iris_radius, seen.point)))
-        irradiance = jnp.maximum(-dot(arriving, tilted), 0.0)
+        irradiance = jnp.maximum(-dot(arriving, normal), 0.0)
         power = norm(arriving)
         towards = arriving / jnp.where(power > 0, power, 1.0)[..., None]
         cosine = -dot(towards, flat)
@@ -182,7 +183,8 @@ def light_of(
 
     tints = jnp.ones((flux.shape[0], 1), flux.dtype) if tint is None else tint
     shape = tints.shape[1], len(angles.weights()), seen.cosine.size
-    return jax.lax.scan(add, jnp.zeros(shape, flux.dtype), (flux, tints))[0] * shares(seen, eye)
+    total = jax.lax.scan(add, jnp.zeros(shape, flux.dtype), (flux, tints))[0]
+    return total * (sky * shares(seen, eye))
 
 
 @eqx.filter_jit

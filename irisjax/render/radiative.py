@@ -85,7 +85,7 @@ class RadiativeIntegrator(AbstractTabulated):
         """
         angles = self.directions(front.iris, front.eye.aqueous_index)
         flux = fluxes_of(lights, front.eye, tables)
-        light = light_of(pixels, flux, lights.tint, front.eye, front.slopes(), angles)
+        light = light_of(pixels, flux, lights.tint, front.eye, front.relief(), angles)
         return (light, None) if isinstance(light, Tracer) else mixed(light, angles)
 
 

@@ -55,7 +55,7 @@ class Separable(AbstractTabulated):
         self, pixels: IrisPixels, lights: Lights, front: Front, tables: Illumination | None
     ) -> angular.AngularLight:
         field = field_of(lights, front.eye, front.iris, tables)
-        return irradiance_at(pixels, field, front.eye, front.slopes()), None
+        return irradiance_at(pixels, field, front.eye, front.relief()), None
 
 
 class ExitFunctions(angular.AbstractAngular):

@@ -2,6 +2,7 @@
 differ in.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -31,9 +32,9 @@ class Front(NamedTuple):
     iris: Any
     maps: IrisMaps | None
 
-    def slopes(self) -> Float[Array, "2 angles radii"] | None:
-        """`slopes_of` its relief."""
-        return slopes_of(None if self.maps is None else self.maps.relief, self.eye)
+    def relief(self) -> Float[Array, "3 angles radii"] | None:
+        """`relief_of` its relief."""
+        return relief_of(None if self.maps is None else self.maps.relief, self.eye)
 
 
 def flux_at(
@@ -145,31 +146,34 @@ def irradiance_at(
     pixels: IrisPixels,
     field: Float[Array, "tints 3 rows columns"],
     eye: Eye,
-    slopes: Float[Array, "2 angles radii"] | None,
+    relief: Float[Array, "3 angles radii"] | None,
 ) -> Float[Array, "tints 1 pixels"]:
     """Irradiance on the iris at pixels times all shares on the way out to the camera."""
-    normal = normals(pixels, eye, slopes)
+    normal, sky = tilted(pixels, eye, relief)
     flux = flux_at(field, eye.iris_radius, pixels.point)
     towards = [-sum(f * n for f, n in zip(tint, normal, strict=True)) for tint in flux]
-    return (jnp.maximum(jnp.stack(towards), 0.0) * shares(pixels, eye))[:, None]
+    return (jnp.maximum(jnp.stack(towards), 0.0) * (sky * shares(pixels, eye)))[:, None]
 
 
-def normals(pixels: IrisPixels, eye: Eye, slopes: Float[Array, "2 angles radii"] | None) -> Parts:
-    """Components of the iris's unit normals towards the cornea, tilted by the `slopes_of` a
-    relief.
+def tilted(
+    pixels: IrisPixels, eye: Eye, relief: Float[Array, "3 angles radii"] | None
+) -> tuple[Parts, Float[Array, " pixels"] | float]:
+    """Components of the iris's unit normals towards the cornea, tilted by the `relief_of` a
+    relief, and the share of the light that this relief lets through.
     """
     u, v, w = parts(eye.iris_normal(joined(pixels.point)))
-    if slopes is None:
-        return u, v, w
+    if relief is None:
+        return (u, v, w), 1.0
     place = _place_of(pixels, eye)
     _, x, y = eye.ring_of(*pixels.point[:2])
     r = safe_sqrt(x * x + y * y)
     r = jnp.where(r > 0, r, 1.0)  # a pixel that looks straight at the middle of the pupil
+    *slopes, sky = polar_bilinear(relief, *place)
     # Of a unit normal: a cone's is none along z.
-    along, across = (-w * s for s in polar_bilinear(slopes, *place))
+    along, across = (-w * s for s in slopes)
     u, v = u - (along * x - across * y) / r, v - (along * y + across * x) / r
     length = jnp.sqrt(u * u + v * v + w * w)
-    return u / length, v / length, w / length
+    return (u / length, v / length, w / length), sky
 
 
 def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
@@ -184,9 +188,53 @@ def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
 
 
 @eqx.filter_jit
-def slopes_of(
+def relief_of(
     relief: Float[Array, "angles radii"] | None, eye: Eye
-) -> Float[Array, "2 2*angles 2*radii"] | None:
+) -> Float[Array, "3 2*angles 2*radii"] | None:
+    """`slopes_of` a relief, and its `sky_of` on the same grid."""
+    if relief is None:
+        return None
+    sky = jnp.repeat(jnp.repeat(sky_of(relief, eye), 2, 0), 2, 1)
+    return jnp.concatenate([slopes_of(relief, eye), sky[None]])
+
+
+def sky_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "angles radii"]:
+    """Share of a uniform sky's irradiance that the surrounding relief lets through to each texel.
+
+    Horizons are sought in eight directions, above the level and above the texel's own tangent
+    plane, whose tilt its normal accounts for. The cornea confines the sky to the cone in which
+    sin θ ≤ 1/n: a horizon of elevation h leaves min(1, n² cos² h) of its direction's share, so that
+    only what rises by more than √(n² − 1), 41°, shades. A lamp is shaded as the sky is.
+    """
+    rows, columns = relief.shape
+    n = 1.0 if eye.cornea is None else eye.aqueous_index
+    radius = eye.from_axis((jnp.arange(columns) + 0.5) / columns)
+    step = (eye.iris_radius - eye.pupil_radius) / columns
+    turn = 2 * jnp.pi / rows * radius
+    most = max(_REACH)
+    wide = jnp.pad(relief, ((most, most), (0, 0)), mode="wrap")
+    wide = jnp.pad(wide, ((0, 0), (most, most)), mode="edge")
+
+    def rise(across: int, along: int):
+        there = wide[most + across :, most + along :][:rows, :columns]
+        return (there - relief) * (1 / jnp.sqrt((across * turn) ** 2 + (along * step) ** 2))
+
+    total = 0.0
+    for across, along in (0, 1), (1, 0), (1, 1), (1, -1):
+        ahead, behind = ([rise(s * k * across, s * k * along) for k in _REACH] for s in (1, -1))
+        slope = (ahead[0] - behind[0]) / 2
+        for rises, own in (ahead, slope), (behind, -slope):
+            horizon = functools.reduce(jnp.maximum, rises) - jnp.maximum(own, 0.0)
+            steepest = jnp.maximum(horizon, 0.0)
+            total += jnp.minimum(1.0, n * n / (1 + steepest**2))
+    return total / 8
+
+
+_REACH = 2, 5, 12  # texels at which the horizon is sought
+
+
+@eqx.filter_jit
+def slopes_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "2 2*angles 2*radii"]:
     """∂h/∂r and ∂h/(r ∂angle) of a relief, on a grid twice as fine: of Catmull and Rom's cubics
     through its texels.
 
@@ -194,8 +242,6 @@ def slopes_of(
     these heights: by a third for the finest fibres, four texels wide, and irides were 10 % too
     bright round the pupil.
     """
-    if relief is None:
-        return None
     rows, columns = relief.shape
     span = eye.iris_radius - eye.pupil_radius
     radius = eye.from_axis((jnp.arange(2 * columns) + 0.5) / (2 * columns))

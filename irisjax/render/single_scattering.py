@@ -35,7 +35,7 @@ from irisjax.render.lights import Lights
 from irisjax.render.polynomials import polynomials
 from irisjax.render.project import IrisPixels
 from irisjax.render.radiative import RadiativeIntegrator
-from irisjax.render.shading import Front, flux_at, fluxes_of, normals, shares
+from irisjax.render.shading import Front, flux_at, fluxes_of, shares, tilted
 from irisjax.render.surfaces import IrisSurface
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
@@ -75,7 +75,7 @@ class SingleScattering(AbstractIntegrator):
         elsewhere: Any = {"relief": None, "residual": None}
         maps = {} if front.maps is None else front.maps.replace(**elsewhere).present()
         flux = fluxes_of(lights, front.eye, tables)
-        return SceneData(maps, flux, lights.tint, front.slopes(), front.eye)
+        return SceneData(maps, flux, lights.tint, front.relief(), front.eye)
 
     def response(self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales) -> "March":
         """The layers' optical depths at the wavelengths of `bands`."""
@@ -161,14 +161,14 @@ class SceneData(eqx.Module):
         maps: The subsurface map  [F09 Section 6.1]: those of the `IrisMaps` that are present.
         flux: Flux vectors of each light on a grid, see `fluxes_of`.
         tint: Tint of each light.
-        slopes: Those of the relief, see `slopes_of`.
+        relief: Slopes and shade of the relief, see `relief_of`.
         eye: The eye.
     """
 
     maps: dict[str, Texture]
     flux: Float[Array, "lights 3 rows columns"]
     tint: Float[Array, "lights 3"] | None
-    slopes: Float[Array, "2 angles radii"] | None
+    relief: Float[Array, "3 angles radii"] | None
     eye: Eye
 
     def at(self, point: Float[Array, "3 pixels"]) -> dict[str, Float[Array, " pixels"]]:
@@ -273,7 +273,8 @@ def _marched(pixels: IrisPixels, iris: March, data: SceneData) -> Float[Array, "
 def _sources(pixels: IrisPixels, direction: Float[Array, "3 pixels"], data: SceneData):
     """Of each light at each pixel, shapes (lights, pixels): irradiance across the light times the
     phase function (1/sr), and the slant 1/μ_i."""
-    normal = jnp.stack(normals(pixels, data.eye, data.slopes))
+    normal, sky = tilted(pixels, data.eye, data.relief)
+    normal = jnp.stack(normal)
 
     def one(flux):
         found = flux_at(flux, data.eye.iris_radius, pixels.point)
@@ -283,7 +284,7 @@ def _sources(pixels: IrisPixels, direction: Float[Array, "3 pixels"], data: Scen
         bend = (towards * direction).sum(0)
         lit = (power > 0) & (cosine > 1e-3)
         phase = rayleigh(bend) / (4 * jnp.pi)
-        return jnp.where(lit, power * phase, 0.0), 1 / jnp.where(lit, cosine, 1.0)
+        return jnp.where(lit, power * phase * sky, 0.0), 1 / jnp.where(lit, cosine, 1.0)
 
     return jax.lax.map(one, data.flux)
 

@@ -14,6 +14,7 @@ from irisjax.render.lights import Lights
 from irisjax.render.picture import draw, respond
 from irisjax.render.project import look, project
 from irisjax.render.scene import Scene
+from irisjax.render.shading import sky_of
 from irisjax.tissue.maps import IrisMaps
 from render.small_scenes import (
     BARE,
@@ -99,6 +100,22 @@ def test_mirrored_light_mirrored_picture(eye, request):
     assert right.max() > 0
     np.testing.assert_allclose(left, right[:, ::-1], atol=1e-9)
     np.testing.assert_allclose(up, right[::-1], atol=1e-9)
+
+
+def test_relief_hides_the_share_of_the_sky_that_lies_behind_it():
+    """Before a long wall of elevation h lies (1 + cos h) / 2 of a sky; in the cone that a cornea
+    leaves of it, a wall below 41° hides nothing.
+    """
+    shape, foot, bare = (512, 64), 39, ij.Eye(cornea=None, pupil_radius=2.0, iris_radius=5.0)
+    wall = jnp.broadcast_to(jnp.where(jnp.arange(shape[1]) > foot, 1.0, 0.0), shape)
+    distance = 5 * 3.0 / 64
+    for elevation in (0.4, 0.8):
+        low = np.asarray(sky_of(wall * distance * np.tan(elevation), bare))
+        np.testing.assert_allclose(low[:, foot - 4], (1 + np.cos(elevation)) / 2, atol=0.02)
+        assert (low[:, foot + 1 :] == 1).all()
+    below = ij.Eye(pupil_radius=2.0, iris_radius=5.0)
+    assert float(sky_of(wall * distance * np.tan(0.7), below)[0, foot - 4]) == 1
+    assert float(sky_of(wall * distance * np.tan(1.0), below)[0, foot - 4]) < 0.95
 
 
 def test_rows_run_down_and_columns_right():
