@@ -1,5 +1,7 @@
 """Noise round a circle: value noise on hashed lattices, one program for all its uses."""
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 from jax.typing import DTypeLike
@@ -39,6 +41,14 @@ def noise(
     total = jnp.zeros(jnp.broadcast_shapes(turns.shape, radius.shape), radius.dtype)
     # Rolled, so that one program serves every number of octaves.
     return jax.lax.fori_loop(0, octaves, layer, total) / (2 - jnp.exp2(1.0 - octaves))
+
+
+def noises(
+    seed: Seed, turns: NoiseField, radius: NoiseField, kinds: Sequence[tuple[int, int, int]]
+) -> Float[Array, "kinds ..."]:
+    """One `noise` for each of `kinds`, its two numbers of cells and its octaves, by one program."""
+    table = jnp.stack(split_seed(seed, len(kinds))), *jnp.asarray(kinds).T
+    return jax.lax.map(lambda k: noise(k[0], turns, radius, (k[1], k[2]), k[3]), table)
 
 
 def _mixed(x: UInt32[Array, "..."]) -> UInt32[Array, "..."]:

@@ -21,9 +21,11 @@ _IRIDES = {  # for ILIT, and for radiative transfer
     "grey": ((0.4, 0.05, 0.3, 65.0), (0.4, 0.05, 0.2, 71.0)),
 }
 _FEATURES: dict[str, dict[str, Any]] = {
-    "brown": {"abl": 1.0, "crypts": 10, "furrows": 6},
-    "hazel": {"heterochromia": 2.5, "abl": 0.5, "freckles": 4},
-    "green": {"heterochromia": 2.0, "freckles": 6},
+    "brown": {"abl": 1.0, "patches": 0.5, "crypts": 10, "furrows": 6},
+    "hazel": {"heterochromia": 2.5, "patches": 0.6, "abl": 0.5, "freckles": 4},
+    "green": {"amber": 1.5, "heterochromia": 2.0, "patches": 0.6},
+    "blue": {"patches": 0.8},
+    "grey": {"patches": 0.5},
 }
 
 

@@ -1,7 +1,8 @@
 """Procedural irides: maps grown from a seed.
 
-The stroma follows the ultrasound profile of [F09 Section 3] and is a meshwork of radial strands:
-bundled, wavy, fine between pupil and collarette, coarse outside, parting round Fuchs's crypts.
+The stroma follows the ultrasound profile of [F09 Section 3] and has two layers. Fine radial fibres
+run from pupil to root; outside the collarette an upper leaf of thicker cords lies over them, with
+Fuchs's crypts as openings. Pigment lies in rings, patches and veils.
 Features are drawn from what textbooks show, not fitted to anything.
 """
 
@@ -14,7 +15,7 @@ from jax.random import bits, fold_in
 
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye
-from irisjax.grow.noise import NoiseField, Seed, Whole, drawn, noise, split_seed
+from irisjax.grow.noise import NoiseField, Seed, Whole, drawn, noise, noises, split_seed
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.interpolation import smoothstep
 from irisjax.tissue.iris import Iris
@@ -22,9 +23,10 @@ from irisjax.tissue.maps import IrisMaps, cell_centres
 
 IPE_THICKNESS = 0.07
 """Iris pigment epithelium, mm, part of what ultrasound measures  [F09 Section 3]."""
-COLLARETTE = 0.32  # mean place of the collarette between the pupil's edge (0) and the root (1)
-RANGE = (0.38, 2.0)  # thinnest and thickest place of a layer relative to its mean
-FOLD = 0.03  # height of a contraction furrow's crest, mm
+COLLARETTE = 0.30  # mean place of the collarette between the pupil's edge (0) and the root (1)
+RANGE = (0.1, 3.0)  # thinnest and thickest place of a layer relative to its mean
+FOLD = 0.025  # height of a contraction furrow's crest, mm
+FINEST = 0.045  # mm between neighbouring fibres, below which they are not drawn
 
 
 def procedural(
@@ -40,6 +42,9 @@ def procedural(
     freckles: int = 0,
     abl: float = 0.0,
     heterochromia: float = 0.0,
+    amber: float = 0.0,
+    patches: float = 0.0,
+    ruff: float = 1.0,
     relief: float = 0.3,
     key: PRNGKey,
 ) -> IrisMaps:
@@ -50,22 +55,26 @@ def procedural(
         eye: Gives that ring (default: `Eye()`).
         shape: Numbers of angles and radii; fewer than 768 angles coarsen the finest fibres.
         profile: Whether the stroma thins towards the root as in ultrasound.
-        fibres: Contrast of the radial strands, 1 as in a light iris.
-        collarette: Height of the zig-zag ring.
-        crypts: Number of lens-shaped holes near the collarette, each with a small one nearer the
+        fibres: Contrast of the radial fibres, 1 as in a light iris.
+        collarette: Height of the wreath between pupillary and ciliary zone.
+        crypts: Number of groups of openings near the collarette; each has a small one nearer the
             root.
         furrows: Number of concentric contraction furrows, partial arcs in the ciliary zone.
         freckles: Number of spots.
         abl: How far the anterior border layer is thinned over crypts, gathered on the crests of
             furrows and mottled, 1 as in a brown iris.
-        heterochromia: Eumelanin added round the pupil, relative to the rest's.
+        heterochromia: Eumelanin added round the pupil, in rays, relative to the rest's.
+        amber: Pheomelanin added round the pupil, in a wide and cloudy ring, relative to the rest's.
+        patches: Contrast of patches and sectors of eumelanin, and of its ring at the root.
+        ruff: How far the stroma ends before the pupil's edge, where the scalloped, dark seam of the
+            pigment epithelium shows, 1 as usual.
         relief: Share of the unevenness that rises towards the cornea; the rest lies within. 0: no
             relief, nor furrows.
         key: Random key; equal keys give equal maps.
 
     Returns:
         Maps with `stroma_depth` unless the stroma is uniform, and at need `relief`, `abl_depth`,
-        `freckles` and `eumelanin`.
+        `freckles`, `eumelanin` and `pheomelanin`, the last two with area means of 1.
 
     Raises:
         ValueError: A feature is negative, or the shape is below (16, 8).
@@ -87,37 +96,68 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, has, key) -> dict[str, Noi
     turns, radius = jnp.broadcast_arrays(angles[:, None] / (2 * jnp.pi), radii)
     place = eye.from_axis(radius)
     seeds = jax.vmap(lambda i: bits(fold_in(key, i), dtype=jnp.uint32))(jnp.arange(6))
-    fibres, zigzag, crypts, furrows, freckles, mottles = seeds
-    ring = COLLARETTE + _zigzag(zigzag, turns)
-    holes = crest = jnp.zeros_like(radius)
-    parted, uneven, maps = turns, 1.0, {}
+    fibres, wreath, crypts, furrows, freckles, slow = seeds
+    # One program for all slow fields: a bend of the cords, and clouds of pigment and of tissue.
+    kinds = [(9, 2, 3), (3, 1, 2), (7, 3, 4), (22, 9, 4), (90, 4, 2), (36, 13, 2), (48, 24, 3)]
+    bend, wide, cloud, mist, streak, arc, wool = noises(slow, turns, radius, kinds)
+    bent = turns + 0.007 * bend
+    ring = COLLARETTE + _wander(wreath, turns)
+    outside = smoothstep((radius - ring) / 0.05 + 0.5)
+    region = crest = rim = jnp.zeros_like(radius)
+    within, surface, maps = 0.0, jnp.zeros_like(radius), {}
     if "crypts" in has:
-        holes, parted = _crypts(crypts, turns, radius, has["crypts"])
+        region, parted = _crypts(crypts, turns, radius, mist, streak, has["crypts"])
+        bent += parted
     if "furrows" in has:
         crest = _furrows(furrows, turns, radius, has["furrows"])
+    cords, gap = 0.45, 1.0
     if "fibres" in has:
-        uneven += has["fibres"] * _fibres(fibres, parted, radius, ring, shape[0] // 4)
+        pitch = 2 * jnp.pi * place / FINEST  # fibres that find room round this ring
+        mesh, cords, spokes = _fibres(fibres, bent, radius, ring, pitch, shape[0])
+        within = has["fibres"] * (0.7 * mesh + 0.3 * wool)
+        gap = smoothstep((0.95 - cords) / 0.5)  # cords bridge an opening
+        # Near the root the cords bend into arcs.
+        root = 0.5 * jnp.exp(-((3 * arc) ** 2)) * smoothstep((radius - 0.6) / 0.3)
+        upper = outside * (1.8 * (cords - 0.55) + root) + (1 - outside) * 1.3 * (spokes - 0.6)
+        surface += has["fibres"] * ((1 + 0.5 * cloud) * upper + (mist + cloud + wide) / 4)
     if "collarette" in has:
-        uneven += has["collarette"] * _ring(zigzag, turns, radius, ring)
-    uneven *= 1 - 0.7 * holes
+        surface += has["collarette"] * _wreath(wreath, turns, radius, ring)
+    hole = region * gap
+    surface -= 1.6 * hole
+    if "ruff" in has:
+        rim = _ruff(wreath, turns, radius)
+        surface -= 1.6 * has["ruff"] * rim
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
-    smooth = _scaled(stroma, place, iris.stroma_thickness)
-    stroma = _bounded(stroma * uneven, place, iris.stroma_thickness)
-    rough = has.keys() & {"fibres", "collarette", "crypts"}
+    stroma *= jnp.exp(surface + within)
+    stroma = _bounded(stroma, place, iris.stroma_thickness)
+    rough = has.keys() & {"fibres", "collarette", "crypts", "ruff"}
     if profile or rough:
         maps["stroma_depth"] = stroma
     share = has.get("relief", 0.0)
-    height = share * (stroma - smooth)
+    height = share * iris.stroma_thickness * _softened(jnp.tanh(surface))
     if "abl" in has:
-        mottled = 0.3 * noise(mottles, parted, radius, (30, 4), 4) + 0.2 * crest - 0.3 * holes
+        mottled = 0.35 * streak + 0.3 * cloud + 0.3 * crest - 0.6 * hole + 0.5 * (cords - 0.45)
         maps["abl_depth"] = _bounded(1 + has["abl"] * mottled, place, iris.abl_thickness)
         height += share * (maps["abl_depth"] - iris.abl_thickness)
     if "relief" in has and (rough or has.keys() & {"furrows", "abl"}):
         maps["relief"] = height + FOLD * crest
     if "freckles" in has:
-        maps["freckles"] = _freckles(freckles, turns, place, eye, has["freckles"])
+        maps["freckles"] = _freckles(freckles, turns, place, eye, mist, has["freckles"])
     if "heterochromia" in has:
-        maps["eumelanin"] = 1 + has["heterochromia"] * _rays(zigzag, parted, radius, ring)
+        reach = ring + 0.14 + 0.15 * cloud + 0.25 * streak
+        inner = smoothstep((reach - radius) / 0.25 + 0.5)
+        maps["eumelanin"] = 1 + has["heterochromia"] * inner * (1 + 0.7 * mist)
+    if "amber" in has:
+        reach = ring + 0.3 + 0.2 * wide - 0.2 * cloud + 0.2 * streak
+        inner = smoothstep((reach - radius) / 0.5 + 0.5)
+        maps["pheomelanin"] = 1 + has["amber"] * inner * (1 + 0.5 * mist)
+    if "patches" in has:
+        root = smoothstep((radius - 0.86 + 0.12 * cloud) / 0.16)
+        dark = cloud + 0.7 * wide + 0.5 * mist + 0.5 * streak + 0.9 * root
+        dark += 1.5 * rim - 0.8 * (cords - 0.45)
+        maps["eumelanin"] = maps.get("eumelanin", 1.0) * jnp.exp(has["patches"] * dark)
+    for melanin in maps.keys() & {"eumelanin", "pheomelanin"}:
+        maps[melanin] = _scaled(maps[melanin], place, 1.0)
     return maps
 
 
@@ -131,6 +171,13 @@ def stroma_profile(radius: NoiseField) -> NoiseField:
     inner, outer = (0.457 - 0.645) / 1.25, (0.372 - 0.457) / 1.5
     whole = 0.645 + (r - 2.25) * (inner + (r - 3.5) * (outer - inner) / 2.75)
     return whole - IPE_THICKNESS - 0.05675
+
+
+def _softened(height: NoiseField) -> NoiseField:
+    """Without the angular frequencies that a map's texels hold no slope of: twice (1, 2, 1) / 4."""
+    for _ in range(2):
+        height = (jnp.roll(height, 1, 0) + 2 * height + jnp.roll(height, -1, 0)) / 4
+    return height
 
 
 def _scaled(thickness, place, mean) -> NoiseField:
@@ -152,61 +199,85 @@ def _strands(seed: Seed, turns, radius, count: int, width: float, sway: float) -
     def over(top, offset):
         strand = jnp.floor(x) + offset
         at = strand / count
-        centre = strand + 0.5 + 0.5 * noise(where, at, 0 * radius, (count, 1))
-        centre += sway * noise(wave, at, radius, (count, 2), 2)
-        height = 0.65 + 0.35 * noise(high, at, radius, (count, 3))
-        return jnp.maximum(top, height * jnp.exp(-(((x - centre) / width) ** 2))), None
+        shift = noise(wave, at, radius, (count, 3), 2)
+        centre = strand + 0.5 + 0.6 * noise(where, at, 0 * radius, (count, 1)) + sway * shift
+        height = noise(high, at, radius, (count, 3))
+        off = (x - centre) / (width * (1 + 0.5 * height))
+        return jnp.maximum(top, (0.7 + 0.3 * height) * jnp.exp(-off * off)), None
 
     return jax.lax.scan(over, jnp.zeros_like(x), jnp.arange(-2, 3).astype(x.dtype))[0]
 
 
-def _fibres(seed: Seed, turns, radius, ring, finest: int) -> NoiseField:
-    """Relative thickness of the meshwork about its mean, roughly ±0.6."""
-    bent, bundles, coarse, middle, fine = split_seed(seed, 5)
-    turns = turns + 0.008 * noise(bent, turns, radius, (10, 2), 2)
-    bundle = 0.7 + 0.6 * noise(bundles, turns, radius, (40, 2), 2)
-    wide = _strands(coarse, turns, radius, min(80, finest), 0.35, 0.7)
-    outer = bundle * (wide + 0.8 * _strands(middle, turns, radius, min(160, finest), 0.35, 0.7))
-    inner = 0.45 * _strands(fine, turns, radius, min(192, finest), 0.4, 0.5)
-    outside = smoothstep((radius - ring) / 0.06 + 0.5)
-    return inner - inner.mean() + outside * (outer - outer.mean() - (inner - inner.mean()))
+def _fibres(seed: Seed, turns, radius, ring, room, angles: int) -> tuple[NoiseField, ...]:
+    """Fine fibres everywhere, about 0; cords of the upper leaf and pupillary spokes, 0 to 1."""
+    fine, coarse, middle, inner = split_seed(seed, 4)
+    # Ridges at the zeros of noise: they join in long loops, which is a meshwork.
+    counts = [(min(n, angles // 4), m, 1) for n, m in ((61, 2), (113, 3), (191, 5))]
+    mesh = jnp.zeros_like(radius)
+    for field, (n, *_) in zip(noises(fine, turns, radius, counts), counts, strict=True):
+        # No ridge is narrower than two texels, nor drawn where many share a picture's pixel.
+        ridge = jnp.exp(-((min(5.0, angles / (2.4 * n)) * field) ** 2))
+        mesh += smoothstep(room / n - 0.5) * (ridge - ridge.mean())
+    few, many = (min(n, angles // 5) for n in (59, 149))
+    thick = _strands(coarse, turns, radius, few, 0.3, 0.7)
+    thin = _strands(middle, turns, radius, many, 0.3, 1.1)
+    cords = jnp.maximum(thick, 0.85 * thin)
+    spokes = _strands(inner, turns, radius, min(110, angles // 4), 0.42, 0.5)
+    spokes = 0.5 + smoothstep(room / 110 - 0.3) * (spokes - 0.5)
+    return mesh, cords, spokes
 
 
-def _zigzag(seed: Seed, turns) -> NoiseField:
-    """Deviation of the collarette from its mean radius: teeth on a slow wander."""
-    slow, teeth, *_ = split_seed(seed, 4)
-    tooth = jnp.abs(noise(teeth, turns, 0 * turns, (44, 1)))
-    return 0.035 * noise(slow, turns, 0 * turns, (5, 1), 2) + 0.07 * (tooth - 0.4)
+def _wander(seed: Seed, turns) -> NoiseField:
+    """Deviation of the collarette from its mean radius, (angles, 1): teeth on a slow wander."""
+    slow, teeth, *_ = split_seed(seed, 5)
+    at, none = turns[:, :1], 0 * turns[:, :1]
+    tooth = jnp.abs(noise(teeth, at, none, (31, 1), 3))
+    return 0.05 * noise(slow, at, none, (4, 1), 3) + 0.14 * (tooth - 0.3)
 
 
-def _ring(seed: Seed, turns, radius, ring) -> NoiseField:
-    """Relative thickness that the collarette adds: steep towards the pupil, uneven along."""
-    along = 0.7 + 0.5 * noise(split_seed(seed, 4)[2], turns, 0 * turns, (30, 1), 2)
-    off = radius - ring
-    crest = 0.45 * along * jnp.exp(-((off / jnp.where(off < 0, 0.022, 0.05)) ** 2))
-    return crest - 0.12 * smoothstep(-off / 0.05)
+def _wreath(seed: Seed, turns, radius, ring) -> NoiseField:
+    """Relative thickness that the collarette adds: two cords that wind about each other."""
+    *_, one, two, along = split_seed(seed, 5)
+    at, none = turns[:, :1], 0 * turns[:, :1]
+    height = 0.6 + 0.5 * noise(along, at, none, (24, 1), 3)
+
+    def cord(seed, spread, width):
+        off = radius - ring - spread * noise(seed, at, none, (23, 1), 3)
+        return jnp.exp(-((off / jnp.where(off < 0, 0.025, width)) ** 2))
+
+    crests = jnp.maximum(cord(one, 0.05, 0.12), 0.8 * cord(two, 0.08, 0.05))
+    return 0.8 * height * crests - 0.15 * smoothstep((ring - radius) / 0.05)
 
 
-def _crypts(seed: Seed, turns, radius, count: Whole) -> tuple[NoiseField, NoiseField]:
-    """Depth of crypts, 0 to 1, and `turns` as the strands see it that part round them."""
+def _ruff(seed: Seed, turns, radius) -> NoiseField:
+    """Share of the seam of pigment epithelium at the pupil's edge, scalloped."""
+    at, none = turns[:, :1], 0 * turns[:, :1]
+    width = 0.022 + 0.014 * noise(split_seed(seed, 6)[5], at, none, (70, 1), 3)
+    return smoothstep((width - radius) / 0.014 + 0.5)
+
+
+def _crypts(
+    seed: Seed, turns, radius, ragged, streak, count: Whole
+) -> tuple[NoiseField, NoiseField]:
+    """Depth of openings, 0 to 1, and by how much of a turn strands part round them."""
 
     def dig(k, carry):
         holes, parted = carry
         a, b, c, d, e = drawn(seed, 5, k, radius.dtype)
-        angle = (k + 0.15 + 0.7 * a) / count  # round once by the collarette, once nearer the root
+        angle = (k + 0.9 * a) / count  # once round by the collarette, once nearer the root
         near = k < count
-        middle = jnp.where(near, COLLARETTE + 0.10 + 0.12 * b, 0.62 + 0.30 * b)
-        half_width = jnp.where(near, 0.003 + 0.010 * c**2, 0.002 + 0.003 * c)
-        half_length = jnp.where(near, 0.06 + 0.10 * d, 0.025 + 0.04 * d)
+        middle = jnp.where(near, COLLARETTE + 0.08 + 0.16 * b, 0.55 + 0.35 * b)
+        half_width = jnp.where(near, 0.004 + 0.012 * c**2, 0.002 + 0.003 * c)
+        half_length = jnp.where(near, 0.07 + 0.10 * d, 0.04 + 0.06 * d)
         off = (turns - angle + 0.5) % 1.0 - 0.5
-        lens = half_width * jnp.clip(1 - ((radius - middle) / half_length) ** 2, 0.0)
-        hole = (0.5 + 0.5 * e) * smoothstep((lens - jnp.abs(off)) / 0.0025 + 0.2) * (lens > 0)
-        # Inside the lens `pushed` is `off`: one strand fills it, the others crowd at its rim.
-        pushed = lens * jnp.tanh(off / jnp.maximum(lens, 1e-6))
-        pushed = pushed * jnp.exp(-((off / (3 * half_width)) ** 2))
-        return jnp.maximum(holes, hole), parted - 0.9 * pushed
+        along = (radius - middle) / half_length
+        away = jnp.abs(off) / half_width + along**2  # a lens
+        depth = (0.55 + 0.45 * e) * jnp.where(near, 1.0, 0.6)
+        hole = depth * smoothstep(1.1 - 0.8 * away + 0.5 * ragged + 0.7 * streak)
+        push = 0.4 * off * jnp.exp(-0.5 * away)
+        return jnp.maximum(holes, hole), parted - push
 
-    return jax.lax.fori_loop(0, 2 * count, dig, (jnp.zeros_like(radius), turns))
+    return jax.lax.fori_loop(0, 2 * count, dig, (jnp.zeros_like(radius), 0 * turns))
 
 
 def _furrows(seed: Seed, turns, radius, count: Whole) -> NoiseField:
@@ -214,31 +285,23 @@ def _furrows(seed: Seed, turns, radius, count: Whole) -> NoiseField:
 
     def fold(k, height):
         wander, extent = split_seed(seed + k.astype(jnp.uint32), 2)
-        middle = 0.55 + 0.38 * (k + 0.5) / count
-        middle = middle + 0.025 * noise(wander, turns, 0 * turns, (6, 1), 3)
-        depth = smoothstep(0.4 + 1.6 * noise(extent, turns, 0 * turns, (7, 1)))
-        off = (radius - middle) / 0.016
+        at, none = turns[:, :1], 0 * turns[:, :1]
+        middle = 0.5 + 0.36 * (k + 0.5) / count + 0.04 * noise(wander, at, none, (5, 1), 4)
+        depth = smoothstep(0.4 + 1.3 * noise(extent, at, none, (5, 1), 3))
+        off = (radius - middle) / 0.03
         return height + depth * (0.45 * off**2 - 1) * jnp.exp(-0.5 * off**2)
 
     return jax.lax.fori_loop(0, count, fold, jnp.zeros_like(radius))
 
 
-def _freckles(seed: Seed, turns, place, eye: Eye, count: Whole) -> NoiseField:
+def _freckles(seed: Seed, turns, place, eye: Eye, ragged, count: Whole) -> NoiseField:
     """Soft irregular spots, 0 to 1, of 0.05 to 0.25 mm radius."""
-    spots, edges = split_seed(seed, 2)
-    ragged = 1 + 0.6 * noise(edges, turns, place / eye.iris_radius, (90, 24), 3)
 
     def spot(k, painted):
-        a, b, c, d = drawn(spots, 4, k, place.dtype)
+        a, b, c, d = drawn(seed, 4, k, place.dtype)
         where = eye.from_axis(0.15 + 0.75 * b)
         across = 2 * jnp.pi * ((turns - a + 0.5) % 1.0 - 0.5) * where
-        away = jnp.sqrt(across**2 + (place - where) ** 2) * ragged / (0.05 * 5.0 ** (c**2))
-        return jnp.maximum(painted, (0.5 + 0.5 * d) * smoothstep(1.6 - 1.1 * away))
+        away = jnp.sqrt(across**2 + (place - where) ** 2) / (0.05 * 5.0 ** (c**2))
+        return jnp.maximum(painted, (0.3 + 0.7 * d) * smoothstep(1.6 - 1.1 * away + 0.9 * ragged))
 
     return jax.lax.fori_loop(0, count, spot, jnp.zeros_like(place))
-
-
-def _rays(seed: Seed, turns, radius, ring) -> NoiseField:
-    """Share of the pigment round the pupil, 1 at its edge, in rays beyond the collarette."""
-    reach = ring + 0.12 + 0.22 * noise(split_seed(seed, 4)[3], turns, radius, (60, 2), 3)
-    return 1 - smoothstep((radius - reach) / 0.4 + 0.5)

@@ -213,6 +213,9 @@ FEATURES: dict[str, EntryCheck] = {
     "freckles": range(201),
     "abl": Range(0, 2),
     "heterochromia": Range(0, 20),
+    "amber": Range(0, 20),
+    "patches": Range(0, 2),
+    "ruff": Range(0, 2),
     "relief": Range(0, 1),
 }
 SECTIONS: dict[str, dict[str, EntryCheck]] = {

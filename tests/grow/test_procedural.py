@@ -7,40 +7,53 @@ import irisjax as ij
 from irisjax.grow.noise import noise
 from irisjax.grow.presets import PRESETS, preset
 from irisjax.grow.procedural import procedural, stroma_profile
+from irisjax.tissue.maps import IrisMaps
 
 SHAPE = (128, 48)
 KEY = jax.random.key(7)
-NOTHING = {"profile": False, "fibres": 0.0, "collarette": 0.0, "crypts": 0, "furrows": 0}
+NOTHING = {
+    "profile": False,
+    "fibres": 0.0,
+    "collarette": 0.0,
+    "crypts": 0,
+    "furrows": 0,
+    "ruff": 0.0,
+}
+
+
+EXTRA = {"freckles": 5, "abl": 1.0, "heterochromia": 2.0, "amber": 1.0, "patches": 0.5}
 
 
 @pytest.fixture(scope="module")
 def everything():
-    return procedural(ij.Iris(), shape=SHAPE, freckles=5, abl=1.0, heterochromia=2.0, key=KEY)
+    return procedural(ij.Iris(), shape=SHAPE, **EXTRA, key=KEY)
 
 
 def test_every_map_is_there_and_within_what_irides_are(everything):
     maps = everything.present()
-    assert set(maps) == {"relief", "abl_depth", "stroma_depth", "freckles", "eumelanin"}
+    assert set(maps) == set(IrisMaps().__dict__) - {"residual"}
     assert {m.shape for m in maps.values()} == {SHAPE}
     low_high = {
-        "relief": (-0.2, 0.2), "abl_depth": (0.015, 0.12), "stroma_depth": (0.1, 0.6),
-        "freckles": (0, 1), "eumelanin": (1, 3),
+        "relief": (-0.2, 0.2), "abl_depth": (0.004, 0.18), "stroma_depth": (0.02, 1.0),
+        "freckles": (0, 1), "eumelanin": (0.05, 20), "pheomelanin": (0.3, 3),
     }  # fmt: skip
     for name, (low, high) in low_high.items():
         assert low <= maps[name].min() < maps[name].max() <= high, name
 
 
-@pytest.mark.parametrize("layer", ["stroma", "abl"])
-def test_area_means_are_those_of_the_iris(everything, layer):
+@pytest.mark.parametrize("name", ["stroma_depth", "abl_depth", "eumelanin", "pheomelanin"])
+def test_area_means_are_those_of_the_iris(everything, name):
     place = np.asarray(ij.Eye().from_axis((np.arange(SHAPE[1]) + 0.5) / SHAPE[1]))
-    found = np.asarray(getattr(everything, f"{layer}_depth"))
+    found = np.asarray(getattr(everything, name))
     mean = (found * place).sum() / (SHAPE[0] * place.sum())
-    np.testing.assert_allclose(mean, getattr(ij.Iris(), f"{layer}_thickness"), rtol=1e-12)
+    expected = getattr(ij.Iris(), name.replace("depth", "thickness")) if "depth" in name else 1.0
+    np.testing.assert_allclose(mean, expected, rtol=1e-12)
 
 
 def test_equal_keys_give_equal_maps_and_others_do_not(everything):
-    options = {"shape": SHAPE, "freckles": 5, "abl": 1.0, "heterochromia": 2.0}
-    again, other = (procedural(ij.Iris(), **options, key=jax.random.key(k)) for k in (7, 8))
+    again, other = (
+        procedural(ij.Iris(), shape=SHAPE, **EXTRA, key=jax.random.key(k)) for k in (7, 8)
+    )
     for name, m in everything.present().items():
         np.testing.assert_array_equal(m, again.present()[name])
         assert np.abs(np.asarray(m) - other.present()[name]).max() > 0.1 * np.ptp(m), name
@@ -80,6 +93,9 @@ def test_profile_passes_through_ultrasound():
         ({"furrows": 2}, {"relief"}),
         ({"freckles": 2}, {"freckles"}),
         ({"heterochromia": 1.0}, {"eumelanin"}),
+        ({"patches": 1.0}, {"eumelanin"}),
+        ({"amber": 1.0}, {"pheomelanin"}),
+        ({"ruff": 1.0, "relief": 0.0}, {"stroma_depth"}),
         ({"abl": 1.0}, {"relief", "abl_depth"}),
         ({"crypts": 2, "relief": 0.0}, {"stroma_depth"}),
     ],
