@@ -24,7 +24,7 @@ from irisjax.numerics.interpolation import polar_bilinear
 from irisjax.optics.conicoid import joined
 from irisjax.render.project import IrisPixels
 from irisjax.render.scene import Scene
-from irisjax.render.shading import normals, shares, slopes_of, textures_at
+from irisjax.render.shading import relief_of, shares, textures_at, tilted
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -187,7 +187,7 @@ def _iris_seen(
     one = jnp.ones_like(x)
     pixels = IrisPixels(None, (x, y, eye.iris_depth * one), (0 * x, 0 * x, one), one, one)
     found = textures_at(pixels, eye, jnp.moveaxis(textures, -1, 0))
-    u, v, w = normals(pixels, eye.replace(iris_slope=None), slopes_of(relief, eye))
+    (u, v, w), _ = tilted(pixels, eye.replace(iris_slope=None), relief_of(relief, eye))
     share = shares(pixels, eye)[None]
     return _rows(found, side), _rows(jnp.stack([u, v, -w]), side), _rows(share, side)
 
