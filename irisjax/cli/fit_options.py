@@ -106,6 +106,18 @@ class SpectralMeasurement(opt.Group, panel="Measurement"):
     )
     cornea: str = crossing()
     first_surface: bool = opt.flag("the iris's own mirror reflection is in the data", True)
+    aperture: float | None = aperture()
+
+    @property
+    def seen(self) -> dict[str, Any]:
+        """What `irisjax.spectrum` is told beside the numbers."""
+        return {
+            **{
+                name: getattr(self, name) for name in ("cos_incidence", "first_surface", "aperture")
+            },
+            "bands": bands_told(self.bandwidth, self.bands),
+            "cornea": None if self.cornea == "auto" else self.cornea,
+        }
 
 
 class Measurements(SpectralMeasurement):
@@ -145,7 +157,6 @@ class Measurements(SpectralMeasurement):
     illuminant: str = opt.option(
         "of a radiance, by its name in colour-science", "D65", metavar="NAME"
     )
-    aperture: float | None = aperture()
 
     @property
     def noise(self) -> ij.Noise:
@@ -156,14 +167,12 @@ class Measurements(SpectralMeasurement):
     @property
     def seen(self) -> dict[str, Any]:
         """What `irisjax.spectrum` is told beside the numbers."""
-        names = ("illuminant", "cos_incidence", "first_surface", "aperture")
-        quantity = RADIANCE if self.quantity == RADIANCE else REFLECTANCE
         lamp = self.illuminant if "illuminant" in self.typed else None
         return {
-            "quantity": quantity,
-            **{name: getattr(self, name) for name in names},
+            **super().seen,
+            "quantity": RADIANCE if self.quantity == RADIANCE else REFLECTANCE,
+            "illuminant": self.illuminant,
             "bands": bands_told(self.bandwidth, self.bands, lamp),
-            "cornea": None if self.cornea == "auto" else self.cornea,
             "boxcar": self.boxcar,
             "correlated": self.correlated_noise,
             "covariance": None if self.covariance is None else io.read_square(self.covariance),

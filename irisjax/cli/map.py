@@ -20,7 +20,6 @@ from irisjax.cli.engine import Lost, Workers, each
 from irisjax.cli.files import check_folder
 from irisjax.cli.fit_options import EPILOG as EPILOG
 from irisjax.cli.fit_options import PixelModel, SpectralMeasurement
-from irisjax.cli.light import bands_told
 from irisjax.cli.report import print_table
 from irisjax.cli.scenes import outline_of
 from irisjax.infer import pixels as fitting
@@ -170,7 +169,8 @@ def _stated(
     """The reflectances of the cube, and the problem that each pixel is."""
     how = {"variable": measured.variable, "wavelength_unit": measured.wavelength_unit}
     cube = read_cube(measured.cube, **how)
-    bands, grid = bands_told(measured.bandwidth, measured.bands), cube.wavelengths
+    seen, grid = measured.seen, cube.wavelengths
+    bands = seen["bands"]
     if grid is None and isinstance(bands, Passbands):
         grid = np.asarray(bands.centres)
     if grid is None or grid.size != cube.shape[2]:
@@ -182,10 +182,8 @@ def _stated(
     for note in notes:
         opt.tell(f"{cube.path}: {note}")
     if bands is None and cube.fwhm is not None and (cube.fwhm > 0).all():
-        bands = Passbands.slit(grid[used], cube.fwhm[used])
+        seen["bands"] = Passbands.slit(grid[used], cube.fwhm[used])
         opt.tell(f"{cube.path}: bandwidths as the file says; --bandwidth otherwise")
-    seen: dict[str, Any] = {n: getattr(measured, n) for n in ("cos_incidence", "first_surface")}
-    seen |= {"bands": bands, "cornea": None if measured.cornea == "auto" else measured.cornea}
     blank = ij.spectrum(grid[used], np.zeros(used.size), name=str(cube.path), **seen)
     noise: Any = measured.relative_noise, measured.absolute_noise
     problem = ij.problem(blank, noise=ij.Noise(*noise), **model.stated([cube.header]))
