@@ -51,7 +51,7 @@ def exact_solver(
 def quickest(iris: Iris, aqueous_index: Real, process: AbstractProcess) -> AbstractSolver:
     """The solver for many spectra of irides such as this one: its table; `AddingDoubling` for a
     power law of scattering; an exact solver for polarised light, for a pigment epithelium that lets
-    light through, and where media guide light so that a table is not good to 1e-4.
+    light through, and for other indices than those of the table of radiative transfer.
     """
     deep = iris.ipe_melanin is not None
     if isinstance(process, Ilit):
@@ -61,24 +61,25 @@ def quickest(iris: Iris, aqueous_index: Real, process: AbstractProcess) -> Abstr
         return AddingDoubling(16, 10)
     if process.polarised:
         return RadiativeExact(16, 8, process=POLARISED)
-    if deep:
-        return RadiativeExact(16, 8)
-    try:
-        return table_for(iris.indices(aqueous_index), process)
-    except ValueError:
-        return RadiativeExact(16, 8)
+    table = None if deep else shipped_table(iris.indices(aqueous_index))
+    return RadiativeExact(16, 8) if table is None else table
 
 
 def table_for(indices: RefractiveIndices, process: AbstractProcess) -> AbstractSolver:
     """The table of a process for some refractive indices: read from the package for those of LB06's
-    iris, built for others.
+    iris, built for others by ILIT.
 
     Raises:
-        ValueError: If what is built is not accurate enough.
+        ValueError: If what is built is not accurate enough, and for other indices in radiative
+            transfer.
     """
     key = *_key(indices), process
     found = _read(*key)
-    return _built(*key) if found is None else found
+    if found is not None:
+        return found
+    if not isinstance(process, Ilit):
+        raise ValueError("the table of radiative transfer has LB06's indices; use RadiativeExact")
+    return _built(*key)
 
 
 def shipped_table(indices: RefractiveIndices) -> RadiativeTabulated | None:
@@ -94,11 +95,9 @@ def _key(indices: RefractiveIndices) -> tuple[tuple[float, ...], str]:
 
 
 @functools.lru_cache(maxsize=8)
-def _built(indices: tuple[float, ...], dtype: str, process: AbstractProcess) -> AbstractSolver:
+def _built(indices: tuple[float, ...], dtype: str, process: Ilit) -> IlitTabulated:
     media = RefractiveIndices(*(jnp.asarray(n, dtype) for n in indices))
-    if isinstance(process, Ilit):
-        return IlitTabulated.build(media, process)
-    return RadiativeTabulated.build(media)
+    return IlitTabulated.build(media, process)
 
 
 @functools.lru_cache(maxsize=8)

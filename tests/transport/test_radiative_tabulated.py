@@ -7,6 +7,7 @@ import pytest
 
 import irisjax as ij
 from common import filled, quick_jit
+from experiments.radiative_table import build
 from irisjax.tissue.layers import Layers
 from irisjax.transport.defaults import quickest, table_for
 
@@ -163,32 +164,15 @@ def test_single_precision(table):
 
 @pytest.mark.slow  # makes a table
 def test_the_table_that_is_shipped_is_the_one_that_is_built(table):
-    built = ij.RadiativeTabulated.build(ij.Iris().indices())
+    built = build(ij.Iris().indices())
     assert built.error == pytest.approx(table.error, rel=0.01)
     assert built.error < 1.2e-5
     by_both = (solved(t, 0.07, [0.3, 3.0], 0.2).reflectance for t in (built, table))
     np.testing.assert_allclose(*by_both, rtol=1e-6)  # stored in single precision
 
 
-@pytest.mark.slow  # makes a table
-def test_other_media_have_tables_of_their_own():
-    iris = ij.Iris.of_level("low").replace(abl_index=1.4, stroma_index=1.4, ipe_index=1.4)
-    table = ij.RadiativeTabulated.build(iris.indices())
-    (found, _), (exact, _) = both(iris, 0.8, table)
-    np.testing.assert_allclose(found, exact, rtol=3 * table.error)
-
-
-@pytest.mark.slow  # makes a table
-def test_media_that_guide_light_are_refused_and_solved_exactly():
+def test_other_media_are_solved_exactly():
     iris = ij.Iris(ipe_index=1.3)
-    with pytest.raises(ValueError, match=r"are tabulated to .* only, not to 1\.0e-04"):
-        ij.RadiativeTabulated.build(iris.indices())
+    with pytest.raises(ValueError, match="has LB06's indices; use RadiativeExact"):
+        table_for(iris.indices(), ij.DEPTH_RESOLVED)
     assert isinstance(quickest(iris, 1.336, ij.DEPTH_RESOLVED), ij.RadiativeExact)
-
-
-@pytest.mark.slow  # a table of its own is built
-def test_what_no_table_holds_is_refused_with_its_error():
-    """From a denser medium a part of the light does not come in: 0 of 0 is no error of 0."""
-    media = ij.RefractiveIndices(*(jnp.asarray(n) for n in (1.45, 1.35, 1.4, 1.42)))
-    with pytest.raises(ValueError, match=r"tabulated to \d\.\de-03 only"):
-        ij.RadiativeTabulated.build(media)

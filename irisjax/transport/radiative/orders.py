@@ -12,10 +12,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from irisjax.numerics import linear
 from irisjax.optics.phase import rayleigh
 from irisjax.transport.process import attenuation, reflections, survival
-from irisjax.transport.radiative.directions import MODES, Mode, Ordinates, Roof, ends_of, roof_of
+from irisjax.transport.radiative.directions import MODES, Ordinates, Roof, ends_of, roof_of
 from irisjax.transport.radiative.slab import Bounded, Slab, mean_survival
 from irisjax.transport.solution import Flux
 
@@ -150,37 +149,6 @@ def conserving_order(
     return moments, with_scattered(beam, power, nodes, roof, up, down, stroma)
 
 
-def after(
-    abl: jax.Array,
-    depth: jax.Array,
-    albedo: jax.Array,
-    nodes: Ordinates,
-    beams: Ordinates,
-    how: tuple[int, int],
-) -> ScatteredFates:
-    """`ScatteredFates` of the light that each of some beams has scattered once, of one wavelength.
-
-    `albedo` may exceed 1 by a little: the sum over orders of scattering goes on converging as long
-    as light leaves the slab faster; `how`: polynomials and panels in depth.
-    """
-    slab, mode = Slab(depth, *how), MODES[0]
-    first, again = _scattered(slab, mode, abl, albedo, nodes, beams, mode.functions(beams.cosine))
-    roof, angle = _bounded(slab, abl, nodes)
-    top, bottom = slab.leaving_each(angle, mode.parity)
-    strength = jnp.asarray(mode.strength, depth.dtype)[:, None]
-    flux = strength * mode.functions(nodes.cosine) * (nodes.weight * nodes.cosine)[None, :]
-
-    def share(leaving, taken):
-        return ((flux * taken[None, :]) @ leaving.T).ravel() @ first
-
-    return ScatteredFates(
-        out=share(top, roof.passed),
-        abl=share(top, roof.absorbed),
-        ipe=share(bottom, nodes.bottom[1]),
-        collisions=slab.total(again[0]),
-    )
-
-
 def single_scattering(
     abl: jax.Array,
     depth: jax.Array,
@@ -210,34 +178,10 @@ def single_scattering(
     return 0.5 * albedo * into * after.series * courses * a * b
 
 
-def multiple_scattering(
-    abl: jax.Array,
-    depth: jax.Array,
-    albedo: jax.Array,
-    nodes: Ordinates,
-    d: Ordinates,
-    how: tuple[int, int],
-) -> jax.Array:
-    """Radiance at the slab's top of light scattered twice and oftener, by azimuthal order, from and
-    into directions `d`: shape (beams, exits, orders), over ω², what of each beam is lost to the
-    slab, and what it would `taken_of` each exit.
-
-    Of the orders 1 and 2 the factors f(μ_i) f(μ_o) are left out; `how`: polynomials and panels.
-    """
-    slab, found = Slab(depth, *how), []
-    taken = taken_of(abl, depth, d)
-    for mode in MODES:
-        f = mode.functions(d.cosine) if mode.order == 0 else jnp.ones_like(d.cosine)[None]
-        _, again = _scattered(slab, mode, abl, albedo, nodes, d, f)
-        top, _ = slab.leaving_each(_bounded(slab, abl, d)[1], mode.parity)
-        strength = jnp.asarray(mode.strength, depth.dtype)[:, None]
-        sent = (strength * f)[:, None] * (top / taken[None])[None]
-        found.append(jnp.einsum("lko,lki->io", sent, again))
-    return jnp.stack(found, axis=-1)
-
-
 def azimuthal(beam: Ordinates, exits: Ordinates, azimuth: jax.Array) -> jax.Array:
-    """Factors of the orders of `multiple_scattering` in their sum, shape (orders, exits)."""
+    """Factors of the azimuthal orders in the sum of light scattered twice and oftener, shape
+    (orders, exits).
+    """
     rows = []
     for mode in MODES:
         row = jnp.cos(mode.order * azimuth) * (1 if mode.order == 0 else 2)
@@ -252,25 +196,3 @@ def taken_of(abl: jax.Array, depth: jax.Array, d: Ordinates) -> jax.Array:
     way = course(abl, depth, d)
     each = mean_survival(depth / d.cosine) / d.cosine
     return way.series * (1 + way.back) * each * (1 + depth)
-
-
-def _scattered(slab: Slab, mode: Mode, abl, albedo, nodes: Ordinates, beams: Ordinates, f_beams):
-    """Moments of light scattered once and oftener, over the albedo and what of each beam is lost to
-    the slab, (terms·moments, beams), and the same of what scatters again, (terms, moments, beams).
-    """
-    angle, beam = (_bounded(slab, abl, d)[1] for d in (nodes, beams))
-    strength = jnp.asarray(mode.strength, slab.depth.dtype)
-    operator = slab.moments(angle, nodes.weight, mode.functions(nodes.cosine), mode.parity)
-    operator = operator * jnp.repeat(strength, operator.shape[0] // strength.size)[None, :]
-    lost = course(abl, slab.depth, beams).lost
-    each = slab.driving_each(beam, mode.parity) / (beams.cosine * lost)[None]
-    driving = (f_beams[:, None] * each[None]).reshape(-1, beams.cosine.size)
-    one = jnp.eye(driving.shape[0], dtype=slab.depth.dtype)
-    first = linear.solve(one - albedo * operator, driving)
-    return first, (operator @ first).reshape(strength.size, -1, beams.cosine.size)
-
-
-def _bounded(slab: Slab, abl, d: Ordinates) -> tuple[Roof, Bounded]:
-    """The ABL and the slab under it along directions."""
-    roof = roof_of(abl, d)
-    return roof, slab.bounded(d.cosine, ends_of(roof, d))
