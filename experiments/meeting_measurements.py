@@ -15,15 +15,11 @@ from scipy.optimize import brentq, least_squares
 
 import irisjax as ij
 from experiments.common import RESULTS, start, write
+from irisjax.grow.presets import PHOTOGRAPHED_COLOURS
 from irisjax.measure.colour import lab_of
 
 GRID = ij.wavelengths(400, 700, 10)
-PHOTOGRAPHED = {  # mean and standard deviation of L*, a*, b*: iori, 39 irides, uncalibrated
-    "blue": ((36, 1, -6), (9, 3, 7)),
-    "green": ((43, -7, 23), (10, 5, 12)),
-    "hazel": ((33, 8, 18), (2, 3, 3)),
-    "brown": ((35, 16, 17), (8, 8, 10)),
-}
+PHOTOGRAPHED = {k: PHOTOGRAPHED_COLOURS[k] for k in ("blue", "green", "hazel", "brown")}
 FREE = {  # bounds; all but the fraction and the saturation are searched by their logarithms
     "eumelanin": (1e-3, 10.0),
     "pheomelanin": (1e-3, 20.0),

@@ -115,7 +115,7 @@ def main(key, quick=False, out=RESULTS):
     for light in (lights, lamp):
         alike = {"features": {"heterochromia": 0, "freckles": 0}, "pigments": CONCENTRATIONS}
         iris, maps = preset("green", eye, shape=shape, **alike, key=seed(4))
-        iris = iris.replace(fibril_radius=30.0)
+        iris = iris.replace(scattering_scale=1.0, hemoglobin=0.084)
         parts = {"camera": camera, "integrator": SingleScattering()}
         first.append(draw(Scene(iris, maps, eye, light, **parts), tables))
     save("render_f09_fig1", first, 40.0)

@@ -37,6 +37,7 @@ FOLDER = Path(__file__).parent.parent / "data" / "photographs"
 SIZE = (1300, 1080)
 WIDTH, DISTANCE = 14.4, 250.0
 """Of the field at the pupil and of the camera, mm: a lens of 625 mm on 36 mm of film."""
+LB06 = {"scattering_scale": 1.0, "hemoglobin": 0.084}
 EYES = {
     "brown": {"eumelanin": 1.2, "pheomelanin": 0.5, "abl_fraction": 0.6, "fibril_radius": 72.0},
     "green": {"eumelanin": 0.1, "pheomelanin": 0.8, "abl_fraction": 0.6, "fibril_radius": 51.5},
@@ -124,7 +125,9 @@ def _eye(colour: str, shape: tuple[int, int], key) -> tuple[Scene, Matt]:
     """An eye and its lamp, and the iris behind the cornea's haze, twice passed."""
     eye = Eye(pupil_radius=jnp.asarray(PUPIL[colour]), sclera=Sclera(veins=jnp.asarray(0.0)))
     features = {**FEATURES[colour], "relief": 0}
-    iris, maps = preset(colour, eye, shape=shape, pigments=EYES[colour], features=features, key=key)
+    iris, maps = preset(
+        colour, eye, shape=shape, pigments=LB06 | EYES[colour], features=features, key=key
+    )
     # To whole micrometres: the file is smaller, and the truth is the file.
     maps = jax.tree.map(lambda m: jnp.round(m * 1000) / 1000, maps)
     polar, azimuth, radius = (

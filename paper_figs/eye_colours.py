@@ -1,20 +1,21 @@
-"""Eye colours by ILIT and by radiative transfer, beside photographed irides (simulated but for the
-latter).
+"""Eye colours by ILIT and by radiative transfer, beside the classes of photographed irides at which
+they aim (simulated but for the latter).
 """
 
 from matplotlib.image import imread
 
+from irisjax.grow.presets import PHOTOGRAPHED_COLOURS
 from paper_figs.common import RESULTS, plt, read, save
 
-# Ciliary zone of photographed irides, cameras uncalibrated: L*, a*, b* and their spread over eyes
-# (iori, a texture study of 39 irides).
-PHOTOGRAPHED = {
-    "blue": ((36, 1, -6), (9, 3, 7)),
-    "green": ((43, -7, 23), (10, 5, 12)),
-    "hazel": ((33, 8, 18), (2, 3, 3)),
-    "brown": ((35, 16, 17), (8, 8, 10)),
+COLOURS = {
+    "blue": "C0",
+    "grey": "0.5",
+    "green": "C2",
+    "hazel": "C1",
+    "amber": "#d9a400",
+    "brown": "#7a3b00",
+    "dark-brown": "k",
 }
-COLOURS = {"brown": "#7a3b00", "hazel": "C1", "green": "C2", "blue": "C0", "grey": "0.5"}
 MODELS = {"separable": ("o", "ILIT"), "radiative-transfer": ("s", "radiative transfer")}
 rows = read("eye_colours.csv")
 figure = plt.figure(figsize=(9.4, 7.2), layout="constrained")
@@ -22,7 +23,7 @@ top, bottom = figure.subfigures(2, 1, height_ratios=(1.1, 1))
 picture = top.add_subplot()
 picture.imshow(imread(RESULTS / "eye_colours.png"))
 side = imread(RESULTS / "eye_colours.png").shape[0] / 2
-picture.set_xticks([side * (k + 0.5) for k in range(5)], list(COLOURS))
+picture.set_xticks([side * (k + 0.5) for k in range(len(COLOURS))], list(COLOURS))
 picture.set_yticks(
     [side / 2, 1.5 * side], [label for _, label in MODELS.values()], rotation=90, va="center"
 )
@@ -32,7 +33,7 @@ for spine in picture.spines.values():
     spine.set_visible(False)
 panels = bottom.subplots(1, 2)
 for axes, (x, y, xl, yl) in zip(panels, ((1, 2, "a*", "b*"), (2, 0, "b*", "L*")), strict=True):
-    for colour, (mean, spread) in PHOTOGRAPHED.items():
+    for colour, (mean, spread) in PHOTOGRAPHED_COLOURS.items():
         axes.errorbar(
             mean[x],
             mean[y],
@@ -51,9 +52,7 @@ for axes, (x, y, xl, yl) in zip(panels, ((1, 2, "a*", "b*"), (2, 0, "b*", "L*"))
 marks = [
     plt.Line2D([], [], color="k", marker=m, ls="", label=label) for m, label in MODELS.values()
 ]
-marks.append(
-    plt.Line2D([], [], color="k", marker="D", mfc="w", ls="", ms=4, label="photographed, ±1 SD")
-)
+marks.append(plt.Line2D([], [], color="k", marker="D", mfc="w", ls="", ms=4, label="class, ±1 SD"))
 marks += [plt.Line2D([], [], color=c, lw=3, label=name) for name, c in COLOURS.items()]
 panels[0].legend(handles=marks, fontsize=7, ncols=2)
 figure.suptitle("Made-up eye colours by both models (simulated)", fontsize=10)

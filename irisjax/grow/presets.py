@@ -12,20 +12,40 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit
 
-_FIELDS = "eumelanin", "pheomelanin", "abl_fraction", "fibril_radius"
-_IRIDES = {  # for ILIT, and for radiative transfer
-    "brown": ((2.4, 0.5, 0.72, 72.0), (1.5, 0.6, 0.7, 71.0)),
-    "hazel": ((0.4, 0.9, 0.5, 57.0), (0.12, 1.7, 0.5, 71.0)),
-    "green": ((0.1, 0.8, 0.6, 51.5), (0.05, 0.95, 0.85, 69.0)),
-    "blue": ((0.015, 0.01, 0.5, 45.0), (0.025, 0.012, 0.5, 58.0)),
-    "grey": ((0.4, 0.05, 0.3, 65.0), (0.4, 0.05, 0.2, 71.0)),
+PHOTOGRAPHED_COLOURS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
+    "blue": ((36, 1, -6), (9, 3, 7)),
+    "grey": ((40, -1, 0), (8, 3, 4)),
+    "green": ((43, -7, 23), (10, 5, 12)),
+    "hazel": ((33, 8, 18), (2, 3, 3)),
+    "amber": ((42, 11, 29), (5, 6, 8)),
+    "brown": ((35, 16, 17), (8, 8, 10)),
+    "dark-brown": ((27, 8, 7), (8, 8, 10)),
+}
+"""Means and standard deviations of L*, a*, b* (D65, ciliary zone) that the presets aim at.
+
+Those of blue, green, hazel, amber and brown are of photographed irides (iori, 39 irides,
+uncalibrated cameras). Two are decided: grey is a pale iris of little chroma, as is one in a
+photograph (46, −2, 2 by its white), and dark brown is one standard deviation of brown below
+brown's mean.
+"""
+_FIELDS = "eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "scattering_scale"
+_IRIDES = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
+    "blue": ((0.023, 0.012, 0.4, 0.44, 6.13), (0.026, 0.013, 0.43, 0.29, 11.6)),
+    "grey": ((0.3, 0.034, 0.635, 0.19, 11.6), (0.145, 0.035, 0.547, 0.177, 18.3)),
+    "green": ((0.01, 0.815, 0.98, 0.027, 16.4), (0.037, 1.05, 0.938, 0.03, 36.2)),
+    "hazel": ((0.217, 1.4, 0.6, 0.435, 18.7), (0.448, 1.32, 0.7, 0.215, 31.1)),
+    "amber": ((0.08, 1.89, 0.68, 0.15, 40.0), (0.014, 1.27, 0.98, 0.187, 40.0)),
+    "brown": ((0.89, 0.72, 0.86, 0.5, 40.0), (0.353, 1.5, 0.9, 0.292, 40.0)),
+    "dark-brown": ((1.53, 0.625, 0.544, 0.09, 10.5), (1.62, 0.7, 0.56, 0.096, 19.8)),
 }
 _FEATURES: dict[str, dict[str, Any]] = {
-    "brown": {"abl": 1.0, "patches": 0.5, "crypts": 10, "furrows": 6},
-    "hazel": {"heterochromia": 2.5, "patches": 0.6, "abl": 0.5, "freckles": 4},
-    "green": {"amber": 1.5, "heterochromia": 2.0, "patches": 0.6},
     "blue": {"patches": 0.8},
     "grey": {"patches": 0.5},
+    "green": {"amber": 1.5, "heterochromia": 2.0, "patches": 0.6},
+    "hazel": {"heterochromia": 2.5, "patches": 0.6, "abl": 0.5, "freckles": 4},
+    "amber": {"heterochromia": 0.5, "patches": 0.5, "abl": 0.4},
+    "brown": {"abl": 1.0, "patches": 0.5, "crypts": 10, "furrows": 6},
+    "dark-brown": {"abl": 1.0, "patches": 0.5, "crypts": 10, "furrows": 6},
 }
 
 
@@ -39,15 +59,18 @@ def preset(
     features: Mapping[str, Any] | None = None,
     key: PRNGKey,
 ) -> tuple[Iris, IrisMaps]:
-    """Grow an invented eye of a colour: `"brown"`, `"hazel"`, `"green"`, `"blue"` or `"grey"`.
+    """Grow an invented eye of a colour: `"blue"`, `"grey"`, `"green"`, `"hazel"`, `"amber"`,
+    `"brown"` or `"dark-brown"`.
 
-    The pigments are chosen by eye, not measured, for the process; so is the fibrils' radius: at
-    LB06's 30 nm the stroma sends back too little for any of these colours. The 8-bit sRGB of
-    `colour(iris)` by ILIT is brown (57, 36, 12), hazel (80, 77, 59), green (76, 78, 65), blue (65,
-    87, 99), grey (99, 112, 112); by radiative transfer brown (62, 49, 27), hazel (82, 74, 51),
-    green (83, 82, 63), blue (65, 89, 99), grey (84, 99, 101). Brown takes 2.4 times the eumelanin
-    of LB06's high level under ILIT; no pigments give a neutral grey: a* stays near −5. Hazel and
-    green eyes are browner near the pupil, where their maps add eumelanin.
+    Pigments and the strength of scattering are not measured: `experiments/eye_colours.py` finds
+    them for each process so that the ciliary zone, with the preset's maps, has the colour of
+    photographed irides within one standard deviation (`PHOTOGRAPHED_COLOURS`). Among those that do
+    it takes the pigments nearest to usual ones, and the weakest scattering: LB06's times 6 to 40 by
+    ILIT and 12 to 40 by radiative transfer, where LB06's own makes every iris too dark. Blue irides
+    have next to no melanin, green and amber ones mostly pheomelanin [Prota et al. 1998, Exp. Eye
+    Res. 67, 293]. The redness of photographed irides takes more blood than LB06's 0.084 mmol/l: up
+    to 0.5, a fifth of pure blood. Fibrils have LB06's radius, whose effect is that of the strength.
+    Hazel and green eyes are browner near the pupil, where their maps add eumelanin.
 
     Args:
         colour: Name of the colour.

@@ -147,7 +147,10 @@ def test_wrong_entries_are_one_line(irisjax, tmp_path, text):
 OPTIONS = [
     ((), "give a SCENE file or --preset"),
     (("scene.toml", "--preset", "blue"), "give a SCENE file or --preset"),
-    (("--preset", "pink"), "--preset: unknown 'pink'; known: brown, hazel, green, blue, grey"),
+    (
+        ("--preset", "pink"),
+        "--preset: unknown 'pink'; known: blue, grey, green, hazel, amber, brown, dark-brown",
+    ),
     (("missing.toml",), "missing.toml: No such file"),
     ((".",), ".: Is a directory"),
     (("scene.toml", "-o", "eye.jpg"), "eye.jpg: must end in .png or .exr"),
