@@ -20,7 +20,7 @@ from irisjax.anatomy.media import TEAR
 from irisjax.anatomy.sclera import sphere, vein_place
 from irisjax.io.images import encode_png, to_steps
 from irisjax.measure.colour import srgb_encode
-from irisjax.numerics.interpolation import polar_bilinear
+from irisjax.numerics.interpolation import polar_bilinear, smoothstep
 from irisjax.optics.conicoid import joined
 from irisjax.render.project import IrisPixels
 from irisjax.render.scene import Scene
@@ -34,7 +34,7 @@ FOOTPRINT = 0.1
 picture in which the iris is about 100 pixels wide.
 """
 _SIZES = 256, 4096  # smallest and largest side of a texture, powers of two
-_WHITE = 1024  # side of the white's texture where it has vessels
+_WHITE = 1024  # side of the texture of the white
 _MM = 1e-3
 _SAMPLER = {"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}  # held at edges
 
@@ -48,8 +48,8 @@ def gltf_files(
 ) -> dict[str, bytes]:
     """Compute eye.glb and the textures in it, by the files' names.
 
-    - Nodes: `iris`, `pupil` (a black disc), `cornea` (its front), `sclera`, `tear_line` and
-        `occlusion`, of those that the eye has.
+    - Nodes: `iris`, `pupil` (a black disc), `cornea` (its front), `sclera` and those of
+        `strip_meshes`, of those that the eye has.
     - iris_base_color.png (8-bit sRGB, fading into the pupil as pictures do), iris_thickness.png
         (ABL and stroma over their largest, which is the material's `thicknessFactor`); where the
         iris has a relief iris_normal.png and iris_roughness.png, the square root of GGX's α, with
@@ -61,7 +61,7 @@ def gltf_files(
 
     Args:
         scene: The scene.
-        meshes: Of `right_handed`, mm: `eye_meshes` and `lid_meshes`.
+        meshes: Of `right_handed`, mm: `eye_meshes` and `strip_meshes`.
         colour: Albedo of the iris, linear sRGB in [0, 1].
         white: Albedo of the white from the limbus to the equator, or `None`.
         haze: Transmittance of one passage of the cornea, linear sRGB; `None` for a clear one.
@@ -74,12 +74,12 @@ def gltf_files(
     pictures, thickest = _iris_pictures(scene, colour)
     textures: dict[str, dict[str, Any]] = {"iris": dict(pictures)}
     halves = {"iris": eye.iris_radius, "cornea": eye.limbus_radius}
-    mean = None
+    colours = {"pupil": np.zeros(3), "occlusion": np.zeros(3)}
     if eye.sclera is not None and white is not None:
-        halves["sclera"], mean = eye.sclera.radius, white.mean((0, 1))
-        if scene.veins is not None:
-            seen = _white_seen(eye, jnp.asarray(white), _WHITE)
-            textures["sclera"], mean = {"baseColorTexture": srgb_encode(seen)}, np.ones(3)
+        halves["sclera"], colours["limbus"] = eye.sclera.radius, white.mean((0, 1))
+        root = colour[:, -1].mean(0) * (1.0 if haze is None else haze**2)
+        seen = _white_seen(eye, jnp.asarray(white), jnp.asarray(root), _WHITE)
+        textures["sclera"] = {"baseColorTexture": srgb_encode(seen)}
     bodies = {name: mesh for name, mesh in meshes.items() if name not in ("anterior", "posterior")}
     bodies["pupil"] = _disc(meshes["iris"])
     if "anterior" in meshes:
@@ -91,8 +91,9 @@ def gltf_files(
         images = {slot: _image(values) for slot, values in textures.get(name, {}).items()}
         visual = TextureVisuals(uv=uv, material=PBRMaterial(name=name, **images))
         if "alpha" in mesh.vertex_attributes:
-            alpha = np.rint(255 * mesh.vertex_attributes["alpha"]).astype(np.uint8)
-            visual.vertex_attributes["color"] = np.pad(alpha[:, None], ((0, 0), (3, 0)))
+            opacity = np.rint(255 * mesh.vertex_attributes["alpha"])[:, None]
+            rgba = np.pad(opacity, ((0, 0), (3, 0)), constant_values=255)
+            visual.vertex_attributes["color"] = rgba.astype(np.uint8)
         body = trimesh.Trimesh(
             _MM * mesh.vertices,
             mesh.faces,
@@ -102,19 +103,24 @@ def gltf_files(
         )
         whole.add_geometry(body, node_name=name, geom_name=name)
 
-    settings = _materials(scene, mean, haze, thickest)
+    settings = _materials(scene, haze, thickest)
 
     def finish(tree: dict[str, Any]) -> None:
         """Complete the materials, of which trimesh writes the textures alone."""
         used = set()
         for material in tree["materials"]:
-            factors, extensions, more = settings[material["name"]]
-            # glTF's own slots are taken; this one carries the picture of the thickness.
+            name = material["name"]
+            roughness, extensions = settings[name]
+            # A slot that is free carries the picture of the thickness.
             if (thickness := material.pop("occlusionTexture", None)) is not None:
                 extensions["KHR_materials_volume"]["thicknessTexture"] = thickness
             own = material.setdefault("pbrMetallicRoughness", {})
-            own |= {"metallicFactor": 0.0, **factors}
-            material |= {"extensions": extensions, **more}
+            own |= {"metallicFactor": 0.0, "roughnessFactor": roughness}
+            if name in colours:
+                own["baseColorFactor"] = [*colours[name].tolist(), 1.0]
+            if "alpha" in bodies[name].vertex_attributes:
+                material["alphaMode"] = "BLEND"
+            material["extensions"] = extensions
             used |= set(extensions)
         tree["extensionsUsed"] = sorted(used)
         tree["samplers"] = [_SAMPLER]
@@ -193,14 +199,20 @@ def _iris_seen(
 
 
 @eqx.filter_jit
-def _white_seen(eye: Eye, white: Float[Array, "azimuths polars 3"], side: int) -> Array:
-    """Colours of the white's front half in a square about it, the top row first."""
+def _white_seen(
+    eye: Eye, white: Float[Array, "azimuths polars 3"], root: Float[Array, "3"], side: int
+) -> Array:
+    """Colours of the white's front half in a square about it, the top row first.
+
+    From the limbus on it blends with the root of the iris as in pictures.
+    """
     globe = sphere(eye)
     x, y = _square(side, globe.radius)
     r = jnp.minimum(jnp.hypot(x, y), globe.radius)
     place = vein_place(eye, joined([x, y, globe.apex + globe.sagitta(r)]))
     found = polar_bilinear(jnp.moveaxis(white, -1, 0), *place)
-    return _rows(found, side)
+    share = smoothstep((r - eye.limbus_radius) / eye.limbus_width + 0.5)
+    return _rows(root[:, None] + share * (found - root[:, None]), side)
 
 
 def _rows(pixels: Float[Array, "channels pixels"], side: int) -> Array:
@@ -232,31 +244,24 @@ def _disc(iris: "Trimesh") -> "Trimesh":
 
 
 def _materials(
-    scene: Scene, white: np.ndarray | None, haze: np.ndarray | None, thickest: float
-) -> dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any]]]:
-    """Of each node: factors, extensions, and other entries of its material.
-
-    An index of one is a surface without a mirror.
-    """
-    eye, iris = scene.eye, scene.tissue
+    scene: Scene, haze: np.ndarray | None, thickest: float
+) -> dict[str, tuple[float, dict[str, Any]]]:
+    """Roughness and extensions of each node's material. An index of one mirrors nothing."""
+    eye = scene.eye
     aqueous, depth = float(eye.aqueous_index), _MM * float(eye.iris_depth)
-    abl = float(iris.indices(eye.aqueous_index).abl) / aqueous
-    black = {"baseColorFactor": [0.0, 0.0, 0.0, 1.0], "roughnessFactor": 1.0}
-    white = np.ones(3) if white is None else white
+    abl = float(scene.tissue.indices(eye.aqueous_index).abl) / aqueous
     chamber: dict[str, Any] = {"thicknessFactor": depth}
     if haze is not None:
         chamber |= {"attenuationColor": haze.tolist(), "attenuationDistance": depth}
-    glass = {"KHR_materials_transmission": {"transmissionFactor": 1.0}}
-    opaque = {"KHR_materials_transmission": {"transmissionFactor": 0.0}}
+    glass, opaque = ({"KHR_materials_transmission": {"transmissionFactor": t}} for t in (1.0, 0.0))
     thickness = {"KHR_materials_volume": {"thicknessFactor": _MM * thickest}}
-    smooth, film = {"roughnessFactor": 0.0}, _index(TEAR)
     return {
-        "iris": ({"roughnessFactor": 1.0}, _index(max(abl, 1 / abl)) | opaque | thickness, {}),
-        "pupil": (black, _index(1.0), {}),
-        "cornea": (smooth, _index(aqueous) | glass | {"KHR_materials_volume": chamber}, {}),
-        "sclera": ({"baseColorFactor": [*white.tolist(), 1.0], **smooth}, film, {}),
-        "tear_line": (smooth, film | glass, {}),
-        "occlusion": ({"roughnessFactor": 1.0}, _index(1.0), {"alphaMode": "BLEND"}),
+        "iris": (1.0, _index(max(abl, 1 / abl)) | opaque | thickness),
+        "pupil": (1.0, _index(1.0)),
+        "cornea": (0.0, _index(aqueous) | glass | {"KHR_materials_volume": chamber}),
+        "tear_line": (0.0, _index(TEAR) | glass),
+        "occlusion": (1.0, _index(1.0)),
+        **dict.fromkeys(("sclera", "limbus"), (0.0, _index(TEAR))),
     }
 
 

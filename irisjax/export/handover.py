@@ -16,7 +16,7 @@ from jax.scipy.linalg import block_diag
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.media import TEAR
 from irisjax.export.gltf import gltf_files
-from irisjax.export.mesh import eye_meshes, lid_meshes, mesh_files, right_handed
+from irisjax.export.mesh import eye_meshes, mesh_files, right_handed, strip_meshes
 from irisjax.export.mitsuba import WIDEST, mitsuba_scene
 from irisjax.export.templates import filled
 from irisjax.io.images import encode_exr, encode_png, spectral_channels
@@ -132,8 +132,8 @@ def _contents(
     colour = np.clip(colour, 0, 1)
     white = _white(scene)
     if form == "glb":
-        lids = {name: right_handed(mesh) for name, mesh in lid_meshes(eye, spacing).items()}
-        data |= gltf_files(scene, meshes | lids, colour, white, haze)
+        strips = {name: right_handed(mesh) for name, mesh in strip_meshes(eye, spacing).items()}
+        data |= gltf_files(scene, meshes | strips, colour, white, haze)
     colour = _in_uv(colour)
     encoded = np.asarray(srgb_encode(colour))
     data["albedo.exr"] = encode_exr("albedo.exr", colour, metadata=remark)
@@ -217,13 +217,13 @@ def _haze(colour: np.ndarray, through: np.ndarray, bands: Bands, hazy: Bands) ->
 
 
 def _white(scene: Scene) -> np.ndarray | None:
-    """Albedo of the white, linear sRGB (azimuths, polars, 3); (1, 1, 3) without vessels."""
+    """Albedo of the white, linear sRGB (azimuths, polars, 3)."""
     if scene.eye.sclera is None:
         return None
     bands = colour_bands(scene.illuminant, scene.observer, every=True)
     table = colour_table(scene.eye.sclera, np.asarray(bands.wavelengths), bands.weights)
     v = scene.veins
-    blood = Blood(jnp.zeros((1, 1))) if v is None else Blood(v.depth, v.cover, v.deep)
+    blood = Blood(jnp.zeros((2, 2))) if v is None else Blood(v.depth, v.cover, v.deep)
     return np.asarray(table(blood))
 
 

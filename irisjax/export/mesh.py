@@ -20,6 +20,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.sclera import sphere
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_known, check_range, check_whole
+from irisjax.numerics.interpolation import smoothstep
 from irisjax.ocularist.coats import Coat, Painting
 from irisjax.ocularist.cones import Cones, shell
 from irisjax.optics.conicoid import Conicoid
@@ -33,11 +34,11 @@ FORMATS = "obj", "ply"
 """Kinds of file that hold meshes."""
 
 _SPACING = Range(0, math.inf, "mm", above=True)
-# Made up, drawn from no face: lines of the upper and of the lower lid before an open eye, y = a + b
-# x², as far as the globe faces the viewer; height of a lid's edge, and of the tear meniscus; height
-# of the occlusion above the eye, which keeps the two apart in a depth buffer.
-_LIDS = (4.3, -0.034), (-5.3, 0.022)
-_WIDE, _EDGE, _MENISCUS, _LIFT = 9.0, 2.0, 0.25, 0.05  # mm
+# Made up, drawn from no face: heights of the lids' lines before an open eye, parabolas that meet
+# in its corners, and the distance of these from its middle; height of a lid's edge, and of the tear
+# meniscus; height of the occlusion above the eye, which keeps the two apart in a depth buffer.
+_LIDS = 4.3, -5.3
+_WIDE, _EDGE, _MENISCUS, _LIFT = 11.0, 2.0, 0.25, 0.05  # mm
 
 
 def eye_meshes(eye: Eye, spacing: float = 0.1) -> "dict[str, Trimesh]":
@@ -60,7 +61,7 @@ def eye_meshes(eye: Eye, spacing: float = 0.1) -> "dict[str, Trimesh]":
     """
     check_range("spacing", spacing, _SPACING)
     limbus, root, pupil = float(eye.limbus_radius), float(eye.iris_radius), float(eye.pupil_radius)
-    around = max(12, math.ceil(2 * math.pi * limbus / spacing))
+    around = _around(eye, spacing)
     slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
     depth = float(eye.iris_depth)
     meshes, edge = {}, 0.0
@@ -90,14 +91,17 @@ def eye_meshes(eye: Eye, spacing: float = 0.1) -> "dict[str, Trimesh]":
     return meshes
 
 
-def lid_meshes(eye: Eye, spacing: float = 0.1) -> "dict[str, Trimesh]":
-    """Strips along the lines of both lids, by name, for an eye with cornea and white (else none).
+def strip_meshes(eye: Eye, spacing: float = 0.1) -> "dict[str, Trimesh]":
+    """Strips on an eye with cornea and white (else none), by name, most with opacities as their
+    attribute `alpha`.
 
-    The model has no lids: the lines are made up, for an eye that gets lids elsewhere.
+    The model has no lids: their lines are made up, for an eye that gets lids elsewhere.
 
+    - `limbus`: a ring on the cornea whose opacity is the share of white in pictures: of the width
+        `limbus_width` its inner half.
     - `tear_line`: menisci, a quarter of a circle tangent to the eye and to the lid's edge.
-    - `occlusion`: ribbons close before the eye; their attribute `alpha` is the share of a uniform
-        sky's irradiance that an upright edge of height h takes from a plane,
+    - `occlusion`: ribbons close before the eye; their opacity is the share of a uniform sky's
+        irradiance that an upright edge of height h takes from a plane,
         (1 − s / √(s² + h²)) / 2 at distance s, here as seen from ahead.
 
     Raises:
@@ -106,23 +110,34 @@ def lid_meshes(eye: Eye, spacing: float = 0.1) -> "dict[str, Trimesh]":
     check_range("spacing", spacing, _SPACING)
     if eye.cornea is None or eye.sclera is None:
         return {}
-    turn, away = np.linspace(np.pi / 2, 0, 7), np.linspace(0, 3 * _EDGE, 25)
+    turn, tears, shades = np.linspace(np.pi / 2, 0, 7), [], []
+    x = 0.98 * np.linspace(-_WIDE, _WIDE, _steps(2 * _WIDE, spacing))
+    open_by, middle = np.array([1 - (x / _WIDE) ** 2, -2 * x / _WIDE**2]), sum(_LIDS) / 2
+    reach = np.minimum(3 * _EDGE, (_LIDS[0] - _LIDS[1]) * open_by[0])
+    away = np.linspace(0, 1, 25)[:, None] * reach
     alpha = (1 - away / np.hypot(away, _EDGE)) / 2
-    tears, shades = [], []
-    x = np.linspace(-_WIDE, _WIDE, _steps(2 * _WIDE, spacing))
-    for height, bend in _LIDS:
-        y, slope, inwards = height + bend * x**2, 2 * bend * x, -np.sign(height)
+    for height in _LIDS:
+        (y, slope), inwards = (height - middle) * open_by, -np.sign(height)
+        y = y + middle
         edge, out = map(np.asarray, _front(eye, x, y))
         across = np.cross(np.gradient(edge, axis=0), out) * inwards
         across /= np.linalg.norm(across, axis=1, keepdims=True)
         sin, cos = np.sin(turn)[:, None, None], np.cos(turn)[:, None, None]
         points = edge + _MENISCUS * ((1 - sin) * across + (1 - cos) * out)
         tears.append((points, sin * across + cos * out))
-        step = away[:, None] * inwards / np.hypot(slope, 1)
+        step = away * inwards / np.hypot(slope, 1)
         points, out = map(np.asarray, _front(eye, x - slope * step, y + step))
         shades.append((points + _LIFT * out, out))
     made = {"tear_line": _ribbons(tears), "occlusion": _ribbons(shades)}
-    made["occlusion"].vertex_attributes["alpha"] = np.tile(np.repeat(alpha, x.size), 2)
+    made["occlusion"].vertex_attributes["alpha"] = np.tile(alpha.ravel(), 2)
+    share, around = np.linspace(0, 0.5, 13), _around(eye, spacing)
+    r = float(eye.limbus_radius) + (share - 0.5) * float(eye.limbus_width)
+    points, out = map(np.asarray, _front(eye, r, 0 * r))
+    points = points + _LIFT / 2 * out
+    ring = _revolved(points[:, 0], points[:, 2], out[:, 0], out[:, 2], around)
+    made["limbus"] = _mesh(*ring)
+    alpha = np.asarray(smoothstep(jnp.asarray(share)))
+    made["limbus"].vertex_attributes["alpha"] = np.repeat(alpha, around)
     return made
 
 
@@ -237,6 +252,10 @@ def _obj(mesh: "Trimesh", name: str, texture: str | None) -> dict[str, bytes]:
     )
     colour = b"" if texture is None else f"\nmap_Kd {texture}\n".encode()
     return {f"{name}.obj": text.encode(), **{file: data + colour for file, data in more.items()}}
+
+
+def _around(eye: Eye, spacing: float) -> int:
+    return max(12, math.ceil(2 * math.pi * float(eye.limbus_radius) / spacing))
 
 
 def _steps(length: float, spacing: float) -> int:

@@ -14,7 +14,7 @@ from PIL import Image
 import irisjax as ij
 from irisjax.anatomy.sclera import VeinMap
 from irisjax.export.gltf import FOOTPRINT, gltf_files
-from irisjax.export.mesh import eye_meshes, lid_meshes, right_handed
+from irisjax.export.mesh import eye_meshes, right_handed, strip_meshes
 from irisjax.measure.colour import srgb_decode
 from irisjax.tissue.maps import IrisMaps, cell_centres
 
@@ -63,7 +63,7 @@ def made():
     veins = VeinMap(*jnp.ones((3, 8, 4)))
     white = np.full((8, 4, 3), 0.7)
     white[:2] = 0.3  # a dark quarter, right and up
-    meshes = eye_meshes(EYE, 0.3) | lid_meshes(EYE, 0.3)
+    meshes = eye_meshes(EYE, 0.3) | strip_meshes(EYE, 0.3)
     meshes = {name: right_handed(mesh) for name, mesh in meshes.items()}
     colour = np.stack(_colour(*grid), -1)
     haze = np.array([0.9, 0.8, 0.7])
@@ -90,7 +90,8 @@ def test_a_loader_finds_named_nodes_in_metres():
         name: loaded().geometry[loaded().graph[name][1]] for name in loaded().graph.nodes_geometry
     }
     across = {name: tuple(np.round(1e3 * mesh.extents, 2)) for name, mesh in nodes.items()}
-    assert set(across) == {"iris", "pupil", "cornea", "sclera", "tear_line", "occlusion"}
+    strips = "tear_line", "occlusion", "limbus"
+    assert set(across) == {"iris", "pupil", "cornea", "sclera", *strips}
     assert across["iris"][:2] == across["cornea"][:2] == (11.0, 11.0)
     assert across["pupil"] == (3.8, 3.8, 0.0)
     assert across["sclera"][0] == pytest.approx(23.0, abs=0.02)
@@ -201,9 +202,10 @@ def test_normals_and_roughness_of_a_rippled_plane():
 
 def test_occlusion_is_what_an_upright_edge_hides_of_a_sky():
     """Directions of a hemisphere in proportion to their cosine, traced to a wall 2 mm high."""
-    mesh = lid_meshes(EYE, 0.3)["occlusion"]
-    alpha = np.unique(mesh.vertex_attributes["alpha"])[::-1]
-    assert alpha[0] == 0.5 and alpha.size == 25
+    mesh = strip_meshes(EYE, 0.3)["occlusion"]
+    rows = mesh.vertex_attributes["alpha"].reshape(2, 25, -1)
+    alpha = rows[0, :, rows.shape[2] // 2]
+    assert (rows[:, 0] == 0.5).all()
     darkest = mesh.vertices[mesh.vertex_attributes["alpha"] == 0.5]
     np.testing.assert_allclose(np.abs(darkest[:, 1]).max(), 5.3, atol=0.05)  # the lids' lines
     u, v = (np.arange(800) + 0.5)[None] / 800, (np.arange(400) + 0.5)[:, None] / 400
@@ -217,7 +219,7 @@ def test_occlusion_is_what_an_upright_edge_hides_of_a_sky():
 
 
 def test_tear_line_touches_the_eye_and_the_lids():
-    mesh = lid_meshes(EYE, 0.3)["tear_line"]
+    mesh = strip_meshes(EYE, 0.3)["tear_line"]
     rows = mesh.vertices.reshape(2, 7, -1, 3)
     normal = mesh.vertex_normals.reshape(rows.shape)
     middle = rows.shape[2] // 2
@@ -229,5 +231,29 @@ def test_tear_line_touches_the_eye_and_the_lids():
         assert abs(foot[1]) < abs(edge[1]) and edge[1] == pytest.approx(height, abs=0.2)
 
 
+def test_limbus_blends_as_pictures_do():
+    """Shares of white by the distance from the limbus: a strip within it, a texture beyond."""
+    strip = strip_meshes(EYE, 0.3)["limbus"]
+    away = np.hypot(*strip.vertices[:, :2].T) - 5.5
+    assert away.min() == pytest.approx(-0.5, abs=0.02) and away.max() < 0.03  # lifted off the eye
+    share = np.clip(0.5 + away, 0, 1)
+    expected = share**2 * (3 - 2 * share)
+    np.testing.assert_allclose(strip.vertex_attributes["alpha"], expected, atol=0.04)
+    materials = {m["name"]: m for m in tree()["materials"]}
+    blended = {name for name, m in materials.items() if m.get("alphaMode") == "BLEND"}
+    assert blended == {"limbus", "occlusion"}
+    found = {n: m["pbrMetallicRoughness"].get("baseColorFactor") for n, m in materials.items()}
+    assert found["limbus"] == pytest.approx([0.6, 0.6, 0.6, 1])  # the mean of the white
+    assert found["pupil"] == found["occlusion"] == [0, 0, 0, 1]
+    white = np.asarray(loaded().geometry["sclera"].visual.material.baseColorTexture)
+    root = np.array([0.5, 0.5, 0.8]) * [0.81, 0.64, 0.49]
+    for column in (260, 255, 250, 240):  # to the left of the middle, where the white is 0.7
+        away = (511.5 - column) * 23 / 1024 - 5.5
+        share = min(max(0.5 + away, 0), 1)
+        share = share**2 * (3 - 2 * share)
+        expected = share * 0.7 + (1 - share) * root
+        np.testing.assert_allclose(srgb_decode(white[512, column, :3] / 255), expected, atol=5e-3)
+
+
 def test_no_lids_without_a_white():
-    assert lid_meshes(EYE.replace(sclera=None)) == {}
+    assert strip_meshes(EYE.replace(sclera=None)) == {}
