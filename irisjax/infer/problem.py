@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import equinox as eqx
@@ -79,8 +80,8 @@ class Problem(eqx.Module):
     @property
     def log_density(self) -> Callable[[np.ndarray], np.ndarray]:
         """Jitted function of vectors z (n, free), which returns log posterior densities (n,)."""
-        both = in_rows(_densities, self)
-        return lambda z: both(z)[0]
+        problem = self.unnamed()
+        return lambda z: by_rows(partial(_densities, problem), np.asarray(z), _ROWS)[0]
 
     @property
     def undetermined(self) -> int:
@@ -320,31 +321,6 @@ def problem(
     )
 
 
-class Form:
-    """The parts of a problem that are no arrays, a static argument that is cheap to compare."""
-
-    def __init__(self, problem: Problem):
-        self._marked = jax.tree.map(lambda x: ... if eqx.is_array(x) else x, problem)
-        leaves, structure = jax.tree.flatten(self._marked)
-        self._parts = structure, *((type(leaf), leaf) for leaf in leaves)
-        self._hash = hash(self._parts)
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __eq__(self, other: object) -> bool:
-        return self is other or (isinstance(other, Form) and self._parts == other._parts)
-
-    def __reduce__(self) -> Any:
-        # The problem alone: structures of trees have no pickle.
-        return Form, (self._marked,)
-
-    def filled(self, arrays: list[Array]) -> Problem:
-        """Return the problem with these arrays."""
-        places = iter(arrays)
-        return jax.tree.map(lambda x: next(places) if x is ... else x, self._marked)
-
-
 def elements(problem: Problem) -> int:
     """Return the size of the largest array that one evaluation makes."""
     sizes = [max(o.instrument.wavelengths.size, o.values.shape[-1]) for o in problem.observations]
@@ -359,26 +335,15 @@ def pointwise(
     problem: Problem, z: Float[Array | np.ndarray, "n free"]
 ) -> Float[np.ndarray, "n all_data"]:
     """Return the log likelihoods of every value."""
-    return in_rows(_densities, problem)(z)[1]
-
-
-def in_rows(
-    function: Callable[[list[Array], Form, Any], Any], problem: Problem, rows: int = _ROWS
-) -> Callable[[Array | np.ndarray], Any]:
-    """Return a jitted `function` of a problem's arrays, its `Form` and vectors (rows, free) as one
-    of any number of vectors, see `by_rows`. The problem is taken apart once and not at every call.
-    """
-    problem = problem.unnamed()
-    arrays, form = [x for x in jax.tree.leaves(problem) if eqx.is_array(x)], Form(problem)
-
-    return lambda z: by_rows(lambda some: function(arrays, form, some), np.asarray(z), rows)
+    return by_rows(partial(_densities, problem.unnamed()), np.asarray(z), _ROWS)[1]
 
 
 def reported(
     problem: Problem, z: Float[np.ndarray, "*samples free"]
 ) -> dict[str, Float[np.ndarray, "*samples"]]:
     """Return free and derived parameters of samples by name, in the order of `problem.free`."""
-    values = in_rows(_reported, problem, 4096)(z.reshape(-1, z.shape[-1]))
+    flat = np.asarray(z).reshape(-1, z.shape[-1])
+    values = by_rows(partial(_reported, problem.unnamed()), flat, 4096)
     names = [*problem.free, *(n for n in values if n not in problem.free)]
     return {n: np.asarray(values[n]).reshape(z.shape[:-1]) for n in names}
 
@@ -408,14 +373,13 @@ def _predicted(problem: Problem, z: Float[Array, "n free"], draws: Any) -> Any:
 
 
 @eqx.filter_jit
-def _reported(arrays: list[Array], form: Form, z: Float[Array, "n free"]) -> Any:
-    return jax.vmap(form.filled(arrays).reported)(z)
+def _reported(problem: Problem, z: Float[Array, "n free"]) -> Any:
+    return jax.vmap(lambda x: problem.reported(x))(z)  # JAX cannot hash bound methods of modules
 
 
 @eqx.filter_jit
-def _densities(arrays: list[Array], form: Form, z: Float[Array, "n free"]) -> Any:
+def _densities(problem: Problem, z: Float[Array, "n free"]) -> Any:
     """Log posterior densities (n,), and log likelihoods of every value (n, all data)."""
-    problem = form.filled(arrays)
 
     def one(x):
         each = problem.pointwise(x)
