@@ -68,8 +68,8 @@ class Environment(eqx.Module):
         d = _directions(rows, 2 * rows)
         soft = max(np.pi / rows, 0.06)
         room = 0.055 + 0.03 * d[..., 1:2]
-        key = 7.2 * _panel(d, (-0.75, 0.65, -1.0), (0.42, 0.42), soft)
-        fill = 1.3 * _panel(d, (1.0, 0.2, -0.8), (0.35, 0.6), soft)
+        key = 22.5 * _panel(d, (-0.62, 0.78, -1.0), (0.17, 0.28), soft)
+        fill = 1.3 * _panel(d, (1.0, 0.2, -0.8), (0.35, 0.6), 4 * soft)
         strip = 2.6 * _panel(d, (0.7, 0.9, 0.8), (0.12, 0.7), soft)
         warm, cold = np.array([1.0, 0.98, 0.94]), np.array([0.94, 0.97, 1.0])
         return cls(room + key[..., None] * warm + fill[..., None] * cold + strip[..., None])
