@@ -23,9 +23,10 @@ from irisjax.render.picture import draw_bands, illuminate, prepared_scene, respo
 from irisjax.render.project import look
 from irisjax.render.scene import Scene
 
-_CHANGES = ("pupil", "light", "pigment")
+_CHANGES = ("pupil", "light", "pigment", "camera")
 _NARROW, _WIDE = 1.0, 3.5  # radii of the pupil at the turning points of `pupil`, mm
 _TURN = math.radians(75.0)  # largest angle of the lamp off the axis in `light`
+_SWING = math.radians(50.0)  # of the camera to either side in `camera`
 # `pigment` divides both melanins by the first number and multiplies them by it, or by more until
 # they reach the second (mg/ml), which a brown eye has.
 _FACTOR, _DARK = 8.0, 3.0
@@ -184,14 +185,16 @@ def frames(
 ) -> Iterator[np.ndarray]:
     """Linear sRGB pictures of one round: there and back again, the last leads to the first."""
 
+    def aside(s: float, most: float) -> tuple[float, float]:
+        return most * abs(s), 0.0 if s >= 0 else math.pi
+
     def lamp(s: float) -> Lights:
-        side = 0.0 if s >= 0 else math.pi
-        return Lights.distant(_TURN * abs(s), side, illuminant=scene.illuminant)
+        return Lights.distant(*aside(s, _TURN), illuminant=scene.illuminant)
 
     swing = np.cos(2 * np.pi * np.arange(count) / count)  # 1 to −1 and back
     if change == "light":
         scene = scene.replace(lights=lamp(1.0), environment=None)
-    # Neither tables nor view depend on what changes: the lamp stays below grazing.
+    # The tables do not depend on what changes: the lamp stays below grazing.
     scene, tables, view = prepared_scene(scene), tables_of(scene), look(scene.eye, scene.camera)
     texels = texture(view, scene)
     light = illuminate(view, texels, scene, tables)
@@ -205,6 +208,12 @@ def frames(
             response = respond(scene.replace(iris=iris.replace(**melanins)))
         elif change == "light":
             light = illuminate(view, texels, scene.replace(lights=lamp(s)), tables)
+        elif change == "camera":
+            polar, azimuth = aside(s, _SWING)
+            camera = dataclasses.replace(scene.camera, polar=polar, azimuth=azimuth)
+            view = look(scene.eye, camera)
+            texels = texture(view, scene)
+            light = illuminate(view, texels, scene, tables)
         else:
             radius = (_NARROW + _WIDE) / 2 - (_WIDE - _NARROW) / 2 * s
             wider = scene.replace(eye=dataclasses.replace(scene.eye, pupil_radius=radius))

@@ -13,6 +13,7 @@ from irisjax.io.scenes import parse_scene, read_scene
 from irisjax.measure.colour import srgb_encode
 from irisjax.render.camera import Camera
 from irisjax.render.picture import draw
+from irisjax.render.project import look
 from scene_files import BARE
 
 render = importlib.import_module("irisjax.cli.render")  # the package holds the command by this name
@@ -334,6 +335,25 @@ def test_animations_return_to_their_first_frame(irisjax, tmp_path):
     narrow, half, wide, again = sheet[:6, :8], sheet[:6, 8:], sheet[6:, :8], sheet[6:, 8:]
     np.testing.assert_array_equal(half, again)  # on the way out and on the way back
     assert narrow.sum() > half.sum() > wide.sum()  # a wide pupil leaves less iris
+
+
+def test_a_camera_swings_from_the_right_to_the_left(irisjax, monkeypatch):
+    """The frames are still pictures from where the cosine of the round puts it."""
+    places = []
+
+    def looked(eye, camera):
+        places.append(camera.place(eye))
+        return look(eye, camera)
+
+    monkeypatch.setattr("irisjax.cli.render.look", looked)
+    given, frames = ("--exposure", 8, "-o"), ("--animate", "camera", "--frames", 4)
+    assert irisjax("render", "scene.toml", *frames, *given, "f_%d.png")[:2] == (0, "")
+    aside = 250 * np.sin(np.radians([50, 0, -50, 0]))
+    np.testing.assert_allclose(np.asarray(places)[-4:, 0], aside, atol=1e-3)
+    assert irisjax("render", "scene.toml", "--camera", "50,0", *given, "still.png")[0] == 0
+    pictures = [io.read_image(name).pixels for name in ("f_0.png", "still.png", "f_1.png")]
+    np.testing.assert_allclose(pictures[0], pictures[1], atol=1 / 255)
+    assert np.abs(pictures[0] - pictures[2]).max() > 0.5
 
 
 @pytest.mark.peer  # needs the extra irisjax[video]
