@@ -48,13 +48,14 @@ BRIGHT = 41.5
 """L* of an iris that has about a tenth of the white's luminance in a picture: the cornea takes a
 sixth on both ways together, and refraction more."""
 INSIDE = {  # standard deviations of a* and b* within which a colour is as good as the mean
-    "blue": ((-0.85, 0.85), (-0.85, 0.3)),
-    "green": ((-0.8, 0.6), (-0.6, 0.8)),
+    "brown": ((-0.8, 0.65), (-0.6, 0.7)),
+    "blue": ((-0.75, 0.75), (-0.85, 0.4)),
+    "green": ((-0.75, 0.65), (-0.65, 0.75)),
 }
-WIDE = (-0.75, 0.75), (-0.6, 0.75)  # of the others
-FAINT = "blue", "brown", "dark-brown"
+WIDE = (-0.65, 0.65), (-0.6, 0.65)  # of the others
+FAINT = "blue", "amber", "brown", "dark-brown"
 """Colours that no usual pigments make so bright."""
-LEAST, MOST = -0.3, 0.8  # the same of L*, where the class is bright enough
+LEAST, MOST = -0.3, 0.7  # the same of L*, where the class is bright enough
 STIFF = 20.0  # weight of a standard deviation beyond those
 STARTS = (1.5, 0.0), (3.0, 0.0), (2.3, -1.0), (2.3, 1.0)  # ln of scattering, of eumelanin's excess
 _LOG = np.array([name != "abl_fraction" for name in FREE])
