@@ -5,11 +5,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.fft
 from jaxtyping import Float, Shaped
+from PIL import Image
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline, make_interp_spline
 from skimage.transform import downscale_local_mean
 
 from irisjax.anatomy.eye import rings_between
+from irisjax.photo.edges import by_channel
 from irisjax.photo.photograph import Brightness, Colours, Mask
 from irisjax.photo.pose import Pose, iris_points, project_iris_points
 from irisjax.render import environment
@@ -270,5 +272,6 @@ def _filled(total: np.ndarray, known: np.ndarray) -> np.ndarray:
     share = np.maximum(coarse[1], 1e-30)
     weight = np.minimum(4 * coarse[1], 1.0)
     below = _filled(coarse[0] / share * weight, weight)
-    above = ndimage.zoom(below, (2, 2, 1), order=1, mode="nearest", grid_mode=True)
+    size = 2 * below.shape[1], 2 * below.shape[0]
+    above = by_channel(below, lambda c: c.resize(size, Image.Resampling.BILINEAR))
     return total + (1 - known) * above[:rows, :columns]
