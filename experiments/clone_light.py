@@ -20,7 +20,7 @@ from experiments.clone_truth import correlation, true_thickness
 from experiments.common import RESULTS, write
 from experiments.simulated_photographs import FOLDER
 from irisjax.io.photographs import read_photograph
-from irisjax.photo.clone import CloneSettings, Fitted, clone_to_pigments, compare_with_photograph
+from irisjax.photo.clone import CloneSettings, Fitted, clone_eye, compare_with_photograph
 from irisjax.photo.light import shade_on
 from irisjax.photo.masks import part_of
 from irisjax.photo.texture import LUMINANCE_WEIGHTS, unrefract
@@ -52,7 +52,8 @@ _COLUMNS = (
 
 
 def _row(folder: Path, file: str) -> tuple:
-    found = clone_to_pigments(read_photograph(folder / file), CloneSettings())
+    *_, found = clone_eye(read_photograph(folder / file), CloneSettings(), last="pigments")
+    assert isinstance(found, Fitted)
     texture, light = found.texture, found.lighting
     truth = true_thickness(file.split("_")[0].removesuffix(".jpg"), texture, folder)
     room = found.fit.values["room"] if light.room else 0.0

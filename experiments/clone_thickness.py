@@ -25,7 +25,6 @@ from irisjax.photo.clone import (
     PictureDifference,
     Shaped,
     clone_eye,
-    clone_to_pigments,
     compare_with_photograph,
 )
 from irisjax.photo.photograph import Photograph
@@ -117,7 +116,8 @@ def clone_by_f09(
     *_, shaped = clone_eye(photograph, settings, given, last="thickness")
     assert isinstance(shaped, Shaped)
     given = given._replace(maps=shaped.morphology.maps)
-    found = clone_to_pigments(photograph, settings, given)
+    *_, found = clone_eye(photograph, settings, given, last="pigments")
+    assert isinstance(found, Fitted)
     gains = np.array([known["red_gain"], 1, known["blue_gain"]])
     fit = simplex(found.windows, found.base, known)
     return replace(found, fit=fit, exposure=known["exposure"] * gains)

@@ -13,7 +13,6 @@ from .clone import Posed as Posed
 from .clone import Sampled as Sampled
 from .clone import Shaped as Shaped
 from .clone import clone_eye as clone_eye
-from .clone import clone_to_pigments as clone_to_pigments
 from .clone import colour_texels as colour_texels
 from .clone import compare_with_photograph as compare_with_photograph
 from .clone import doubts_of as doubts_of

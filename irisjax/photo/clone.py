@@ -419,17 +419,6 @@ def clone_eye(
         yield found
 
 
-def clone_to_pigments(
-    photograph: Photograph,
-    settings: CloneSettings,
-    given: Given = NOTHING,
-    tables: Callable[[Scene], Illumination | None] = Scene.tables,
-) -> Fitted:
-    """Clone a photograph up to its pigments; arguments and errors as of `clone_eye`."""
-    run = clone_eye(photograph, settings, given, last="pigments", tables=tables)
-    return cast(Fitted, list(run)[-1])
-
-
 def outline_eye(photograph: Photograph, given: Given = NOTHING) -> Outlined:
     """Find the outlines of limbus and pupil."""
     found = find_boundaries(photograph, given.limbus, given.pupil, given.eye)
