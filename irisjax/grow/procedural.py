@@ -100,7 +100,8 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, has, key) -> dict[str, Noi
     # One program for all slow fields: a bend of the cords, and clouds of pigment and of tissue.
     kinds = [(9, 2, 3), (3, 1, 2), (7, 3, 4), (22, 9, 4), (90, 4, 2), (36, 13, 2), (48, 24, 3)]
     bend, wide, cloud, mist, streak, arc, wool = noises(slow, turns, radius, kinds)
-    bent = turns + 0.007 * bend
+    slack = 3.6 / (eye.iris_radius - eye.pupil_radius)  # of cords and folds in a wide pupil
+    bent = turns + 0.006 * slack * bend
     ring = COLLARETTE + _wander(wreath, turns)
     outside = smoothstep((radius - ring) / 0.05 + 0.5)
     region = crest = rim = jnp.zeros_like(radius)
@@ -114,19 +115,19 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, has, key) -> dict[str, Noi
     if "fibres" in has:
         pitch = 2 * jnp.pi * place / FINEST  # fibres that find room round this ring
         mesh, cords, spokes = _fibres(fibres, bent, radius, ring, pitch, shape[0])
-        within = has["fibres"] * (0.7 * mesh + 0.3 * wool)
         gap = smoothstep((0.95 - cords) / 0.5)  # cords bridge an opening
         # Near the root the cords bend into arcs.
-        root = 0.5 * jnp.exp(-((3 * arc) ** 2)) * smoothstep((radius - 0.6) / 0.3)
-        upper = outside * (1.8 * (cords - 0.55) + root) + (1 - outside) * 1.3 * (spokes - 0.6)
+        root = jnp.exp(-((3 * arc) ** 2)) * smoothstep((radius - 0.6) / 0.3)
+        within = has["fibres"] * (0.8 * mesh + 0.35 * wool + 0.6 * root)
+        upper = outside * 1.8 * (cords - 0.55) + (1 - outside) * 1.3 * (spokes - 0.6)
         surface += has["fibres"] * ((1 + 0.5 * cloud) * upper + (mist + cloud + wide) / 4)
     if "collarette" in has:
         surface += has["collarette"] * _wreath(wreath, turns, radius, ring)
-    hole = region * gap
-    surface -= 1.6 * hole
+    hole = region * gap * jnp.minimum(1.0, 1.3 / slack)  # a wide pupil closes them
+    surface -= 2.2 * hole
     if "ruff" in has:
         rim = _ruff(wreath, turns, radius)
-        surface -= 1.6 * has["ruff"] * rim
+        within -= 2.5 * has["ruff"] * rim
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
     stroma *= jnp.exp(surface + within)
     stroma = _bounded(stroma, place, iris.stroma_thickness)
@@ -140,9 +141,9 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, has, key) -> dict[str, Noi
         maps["abl_depth"] = _bounded(1 + has["abl"] * mottled, place, iris.abl_thickness)
         height += share * (maps["abl_depth"] - iris.abl_thickness)
     if "relief" in has and (rough or has.keys() & {"furrows", "abl"}):
-        maps["relief"] = height + FOLD * crest
+        maps["relief"] = height + FOLD * jnp.minimum(slack, 2.0) * crest
     if "freckles" in has:
-        maps["freckles"] = _freckles(freckles, turns, place, eye, mist, has["freckles"])
+        maps["freckles"] = _freckles(freckles, turns, place, eye, mist + wool, has["freckles"])
     if "heterochromia" in has:
         reach = ring + 0.14 + 0.15 * cloud + 0.25 * streak
         inner = smoothstep((reach - radius) / 0.25 + 0.5)
@@ -154,7 +155,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, has, key) -> dict[str, Noi
     if "patches" in has:
         root = smoothstep((radius - 0.86 + 0.12 * cloud) / 0.16)
         dark = cloud + 0.7 * wide + 0.5 * mist + 0.5 * streak + 0.9 * root
-        dark += 1.5 * rim - 0.8 * (cords - 0.45)
+        dark += 2.0 * rim - 0.8 * (cords - 0.45)
         maps["eumelanin"] = maps.get("eumelanin", 1.0) * jnp.exp(has["patches"] * dark)
     for melanin in maps.keys() & {"eumelanin", "pheomelanin"}:
         maps[melanin] = _scaled(maps[melanin], place, 1.0)
@@ -219,8 +220,8 @@ def _fibres(seed: Seed, turns, radius, ring, room, angles: int) -> tuple[NoiseFi
         ridge = jnp.exp(-((min(5.0, angles / (2.4 * n)) * field) ** 2))
         mesh += smoothstep(room / n - 0.5) * (ridge - ridge.mean())
     few, many = (min(n, angles // 5) for n in (59, 149))
-    thick = _strands(coarse, turns, radius, few, 0.3, 0.7)
-    thin = _strands(middle, turns, radius, many, 0.3, 1.1)
+    thick = _strands(coarse, turns, radius, few, 0.3, 0.55)
+    thin = _strands(middle, turns, radius, many, 0.3, 0.9)
     cords = jnp.maximum(thick, 0.85 * thin)
     spokes = _strands(inner, turns, radius, min(110, angles // 4), 0.42, 0.5)
     spokes = 0.5 + smoothstep(room / 110 - 0.3) * (spokes - 0.5)
@@ -252,7 +253,7 @@ def _wreath(seed: Seed, turns, radius, ring) -> NoiseField:
 def _ruff(seed: Seed, turns, radius) -> NoiseField:
     """Share of the seam of pigment epithelium at the pupil's edge, scalloped."""
     at, none = turns[:, :1], 0 * turns[:, :1]
-    width = 0.022 + 0.014 * noise(split_seed(seed, 6)[5], at, none, (70, 1), 3)
+    width = 0.024 + 0.016 * noise(split_seed(seed, 6)[5], at, none, (70, 1), 3)
     return smoothstep((width - radius) / 0.014 + 0.5)
 
 
@@ -267,7 +268,7 @@ def _crypts(
         angle = (k + 0.9 * a) / count  # once round by the collarette, once nearer the root
         near = k < count
         middle = jnp.where(near, COLLARETTE + 0.08 + 0.16 * b, 0.55 + 0.35 * b)
-        half_width = jnp.where(near, 0.004 + 0.012 * c**2, 0.002 + 0.003 * c)
+        half_width = jnp.where(near, 0.006 + 0.014 * c**2, 0.002 + 0.003 * c)
         half_length = jnp.where(near, 0.07 + 0.10 * d, 0.04 + 0.06 * d)
         off = (turns - angle + 0.5) % 1.0 - 0.5
         along = (radius - middle) / half_length
@@ -302,6 +303,6 @@ def _freckles(seed: Seed, turns, place, eye: Eye, ragged, count: Whole) -> Noise
         where = eye.from_axis(0.15 + 0.75 * b)
         across = 2 * jnp.pi * ((turns - a + 0.5) % 1.0 - 0.5) * where
         away = jnp.sqrt(across**2 + (place - where) ** 2) / (0.05 * 5.0 ** (c**2))
-        return jnp.maximum(painted, (0.3 + 0.7 * d) * smoothstep(1.6 - 1.1 * away + 0.9 * ragged))
+        return jnp.maximum(painted, (0.3 + 0.7 * d) * smoothstep(1.4 - 0.9 * away + 0.8 * ragged))
 
     return jax.lax.fori_loop(0, count, spot, jnp.zeros_like(place))
