@@ -52,8 +52,9 @@ def gltf_files(
         `strip_meshes`, of those that the eye has.
     - iris_base_color.png (8-bit sRGB, fading into the pupil as pictures do), iris_thickness.png
         (ABL and stroma over their largest, which is the material's `thicknessFactor`); where the
-        iris has a relief iris_normal.png and iris_roughness.png, the square root of GGX's α, with
-        α² twice the variance of the slopes within `FOOTPRINT`.
+        iris has a relief iris_normal.png and iris_roughness.png, in green the square root of GGX's
+        α, with α² twice the variance of the slopes within `FOOTPRINT`, in red what the relief
+        leaves of the sky.
 
     The cornea is one surface with the index of the humour behind it: glTF has no index below one,
     which the cornea's back would need. The two surfaces nearly cancel: the pupil's image is 0.06 %
@@ -115,6 +116,8 @@ def gltf_files(
             if (thickness := material.pop("occlusionTexture", None)) is not None:
                 extensions["KHR_materials_volume"]["thicknessTexture"] = thickness
             own = material.setdefault("pbrMetallicRoughness", {})
+            if "metallicRoughnessTexture" in own:  # its red channel is glTF's occlusion
+                material["occlusionTexture"] = dict(own["metallicRoughnessTexture"])
             own |= {"metallicFactor": 0.0, "roughnessFactor": roughness}
             if name in colours:
                 own["baseColorFactor"] = [*colours[name].tolist(), 1.0]
@@ -160,7 +163,7 @@ def _iris_pictures(scene: Scene, colour: np.ndarray) -> tuple[dict[str, np.ndarr
     side = int(np.clip(2 ** math.ceil(math.log2(width / span * colour.shape[1])), *_SIZES))
     relief = None if maps is None else maps.relief
     stacked = jnp.asarray(np.concatenate([colour, depth[..., None] / thickest], -1))
-    seen, normal, share = map(np.asarray, _iris_seen(eye, stacked, relief, side))
+    seen, normal, share, sky = map(np.asarray, _iris_seen(eye, stacked, relief, side))
     pictures = {
         "baseColorTexture": np.asarray(srgb_encode(seen[..., :3] * share)),
         "occlusionTexture": np.repeat(seen[..., 3:] * (share > 0), 3, -1),
@@ -175,7 +178,7 @@ def _iris_pictures(scene: Scene, colour: np.ndarray) -> tuple[dict[str, np.ndarr
         ]
         length = np.minimum(np.linalg.norm(mean, axis=0), 1.0)[..., None]
         rough = np.minimum(2 * (1 - length) / length, 1.0) ** 0.25
-        pictures["metallicRoughnessTexture"] = np.concatenate([0 * rough, rough, 0 * rough], -1)
+        pictures["metallicRoughnessTexture"] = np.concatenate([sky, rough, 0 * rough], -1)
     return pictures, thickest
 
 
@@ -185,17 +188,18 @@ def _iris_seen(
     textures: Float[Array, "angles radii channels"],
     relief: Float[Array, "angles radii"] | None,
     side: int,
-) -> tuple[Array, Array, Array]:
-    """Textures, normals (x, y, z towards the viewer) and share of the iris in a square about it, of
-    shape (rows, columns, channels), the top row first.
+) -> tuple[Array, Array, Array, Array]:
+    """Textures, normals (x, y, z towards the viewer), share of the iris, and share of the sky that
+    its relief leaves, in a square about it: shape (rows, columns, channels), the top row first.
     """
     x, y = _square(side, eye.iris_radius)
     one = jnp.ones_like(x)
     pixels = IrisPixels(None, (x, y, eye.iris_depth * one), (0 * x, 0 * x, one), one, one)
     found = textures_at(pixels, eye, jnp.moveaxis(textures, -1, 0))
-    (u, v, w), _ = tilted(pixels, eye.replace(iris_slope=None), relief_of(relief, eye))
-    share = shares(pixels, eye)[None]
-    return _rows(found, side), _rows(jnp.stack([u, v, -w]), side), _rows(share, side)
+    (u, v, w), sky = tilted(pixels, eye.replace(iris_slope=None), relief_of(relief, eye))
+    every = found, jnp.stack([u, v, -w]), shares(pixels, eye)[None], (sky * one)[None]
+    found, normal, share, sky = (_rows(values, side) for values in every)
+    return found, normal, share, sky
 
 
 @eqx.filter_jit

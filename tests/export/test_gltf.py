@@ -127,7 +127,11 @@ def test_materials_follow_the_schemas():
     assert film == pytest.approx(1.337)
     iris = materials["iris"]
     assert iris["pbrMetallicRoughness"]["metallicFactor"] == 0
-    assert "occlusionTexture" not in iris  # carried the thickness as far as the writer
+    # The red channel of the roughness; the thickness, which the writer took for it, is elsewhere.
+    occlusion = iris["occlusionTexture"]["index"]
+    assert occlusion == iris["pbrMetallicRoughness"]["metallicRoughnessTexture"]["index"]
+    volume = iris["extensions"]["KHR_materials_volume"]
+    assert volume["thicknessTexture"]["index"] != occlusion
     thickest = iris["extensions"]["KHR_materials_volume"]["thicknessFactor"]
     abl = float(ij.Iris.of_level("low").abl_thickness)
     assert thickest == pytest.approx(1e-3 * (0.2 + 0.4 * (1 - 0.5 / 256) + abl))
@@ -198,6 +202,7 @@ def test_normals_and_roughness_of_a_rippled_plane():
     assert RIPPLE < FOOTPRINT
     np.testing.assert_allclose((rough[ring][:, 1] ** 4).mean(), variance, rtol=0.1)
     assert (rough[..., 2] == 0).all()  # metallic
+    assert (rough[ring][:, 0] > 0.99).all()  # next to nothing of the sky is hidden
 
 
 def test_occlusion_is_what_an_upright_edge_hides_of_a_sky():
