@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import irisjax as ij
+from experiments.closed_formulas import BeerLambert, FirstOrder, KubelkaMunk
 from experiments.common import RESULTS, start, write
-from irisjax.infer.analytic import BeerLambert, FirstOrder, KubelkaMunk
 from irisjax.infer.fit import fit
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import with_values

@@ -52,7 +52,7 @@ def main(key, quick=False, out=RESULTS, eyes=None, walkers=64):
     """Write ranks of every eye and, by parameter, p-values and coverage, for either process and for
     other instruments and a free strength of scattering (quick: 3 eyes, a closed formula).
     """
-    from irisjax.infer.analytic import KubelkaMunk
+    from experiments.closed_formulas import KubelkaMunk
 
     blank = ij.spectrum(GRID, np.ones(GRID.size))
     if quick:

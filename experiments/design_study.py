@@ -9,8 +9,8 @@ import numpy as np
 
 import irisjax as ij
 from experiments.calibration import CENTRES, FWHM
+from experiments.closed_formulas import KubelkaMunk
 from experiments.common import RESULTS, start, write
-from irisjax.infer.analytic import KubelkaMunk
 from irisjax.infer.fit import fit
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import with_values

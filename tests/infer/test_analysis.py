@@ -7,10 +7,10 @@ import pytest
 
 import irisjax as ij
 from common import quick_jit
+from experiments.closed_formulas import BeerLambert
 from irisjax.cli import report, sentences
 from irisjax.infer import draws
 from irisjax.infer.analysis import PredictiveCheck, analyse, predictive_check
-from irisjax.infer.analytic import BeerLambert
 from irisjax.infer.fit import fit
 from irisjax.infer.model_comparison import (
     Interval,

@@ -9,9 +9,9 @@ import pytest
 
 import irisjax as ij
 from common import slowly
+from experiments.closed_formulas import KubelkaMunk
 from irisjax.cli.sentences import process_lines
 from irisjax.infer.analysis import reported
-from irisjax.infer.analytic import KubelkaMunk
 from irisjax.infer.model_comparison import (
     Interval,
     Moved,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from irisjax.infer.analytic import KubelkaMunk
+from experiments.closed_formulas import KubelkaMunk
 from irisjax.infer.fit import fit
 from irisjax.infer.posterior import sample
 

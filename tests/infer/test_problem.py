@@ -8,7 +8,7 @@ from scipy import stats
 
 import irisjax as ij
 from common import quick_jit
-from irisjax.infer.analytic import BeerLambert
+from experiments.closed_formulas import BeerLambert
 from irisjax.infer.fit import fit
 from irisjax.infer.noise import Noise
 from irisjax.infer.parameters import PARAMETERS

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from irisjax.infer.analytic import BeerLambert, FirstOrder, KubelkaMunk
+from experiments.closed_formulas import BeerLambert, FirstOrder, KubelkaMunk
 
 GRID = ij.wavelengths(400, 700, 10)
 ANALYTIC = [BeerLambert(), KubelkaMunk(), FirstOrder()]
