@@ -132,12 +132,6 @@ class CloneModel(opt.Group, panel="Model"):
         parse=opt.number_or("fit", Range(0, 2)),
         metavar="mm|fit",
     )
-    relief: float = opt.number(
-        "share of the stroma's unevenness that stands out towards the cornea, {}",
-        Range(0, 1),
-        _DEFAULTS.relief,
-        metavar="share",
-    )
     method: str = opt.choice(
         "search for the pigments; simplex is F09's", cloning.METHODS, _DEFAULTS.method
     )
@@ -429,7 +423,7 @@ def _settings(picture: ClonePicture, model: CloneModel) -> cloning.CloneSettings
         sigma=None if isinstance(sigma, str) else sigma,
         integrator=named(),
         steps=model.max_steps,
-        **{n: getattr(model, n) for n in ("media", "iris_depth", "beta", "relief", "method")},
+        **{n: getattr(model, n) for n in ("media", "iris_depth", "beta", "method")},
     )
 
 

@@ -99,8 +99,6 @@ class CloneSettings(NamedTuple):
         sigma: Width of the deconvolution (mm) with `beta`; `None` chooses the one with which the
             rendering is nearest to the photograph.
         beta: β of Eq. 7 (mm); `None` takes the model's own response of brightness to thickness.
-        relief: Share of the stroma's unevenness that stands out towards the cornea, 0 to 1: the
-            clone's relief is so much of the thickness that `shape_maps` estimates.
         method: Search for the pigments, one of `METHODS`.
         integrator: Model of light in the iris.
         steps: Most steps of the posterior's chain.
@@ -112,7 +110,6 @@ class CloneSettings(NamedTuple):
     azimuth: float | None = None
     sigma: float | None = 0.5
     beta: float | None = None
-    relief: float = 0.0
     method: str = "least-squares"
     integrator: Separable | RadiativeIntegrator = Separable()
     steps: int = 8000
@@ -270,6 +267,10 @@ class Fitted(Lit):
 
     def scene(self) -> Scene:
         """Return the eye as it was photographed: the same camera, light and pigments."""
+        return self.scene_with(self.maps())
+
+    def scene_with(self, maps: IrisMaps | None) -> Scene:
+        """Return the scene with other maps, or without any."""
         light, room = self.lighting, self.fit.values["room"]
         marched = isinstance(self.integrator, TabulatedSingleScattering)
         around = Environment.uniform(room) if light.room else light.environment
@@ -279,7 +280,7 @@ class Fitted(Lit):
             camera = dataclasses.replace(camera, images=jnp.asarray(images))
         return Scene(
             self.iris(),
-            self.maps(),
+            maps,
             eye=self.pose.eye,
             lights=light.lamps,
             environment=around,
@@ -546,8 +547,8 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     def fitted(estimate: Callable[[], Morphology]) -> Fitted:
         shown = windows
         if given.maps is None:
-            smooth = has_texels(settings, given) and not settings.relief
-            shown = windows_with(smooth_maps(eye) if smooth else estimate().maps)
+            own = has_texels(settings, given)
+            shown = windows_with(smooth_maps(eye) if own else estimate().maps)
         exposure = pigments.exposures_for(fit, shown, base)
         kept = dataclasses.replace(lit, estimate=estimate)
         return Fitted(**vars(kept), **known, exposure=exposure)
@@ -555,7 +556,7 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     if given.maps is not None or (settings.beta is not None and settings.sigma is not None):
         return fitted(lit.estimate)
     if settings.beta is None:
-        found = partial(_thickness_by_model, lit, windows, base, fit, settings.relief)
+        found = partial(_thickness_by_model, lit, windows, base, fit)
         return fitted(cache(found))
     deconvolve = partial(shape_maps, lit.texture, lit.freckles, beta=settings.beta)
 
@@ -580,7 +581,7 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
         return Coloured(**vars(fitted), texels=None)
     finest: Any = finer(fitted.integrator)
     fitted = dataclasses.replace(fitted, integrator=finest)
-    scene = fitted.scene().replace(integrator=finest)
+    scene = fitted.scene_with(None).replace(integrator=finest)
     shape, eye = fitted.clear.shape, fitted.pose.eye
     seen = fitted.view.iris
     assert seen is not None
@@ -591,7 +592,7 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
     clear = shown & (ring > float(eye.pupil_radius + eye.pupil_margin))
     target = fitted.unveiled() / fitted.exposure
     if fitted.veil is None:
-        dark = scene.replace(iris=fitted.base, maps=None)
+        dark = scene.replace(iris=fitted.base)
         around = np.asarray(surroundings(fitted.view, texture(fitted.view, dark), dark))
         target = target - around.T.reshape(*shape, 3)
     target = np.maximum(target, 0) ** (1 / fitted.fit.values["contrast"])
@@ -751,7 +752,7 @@ def _light_on_part(lit: Lit) -> np.ndarray | None:
 
 
 def _thickness_by_model(
-    lit: Lit, windows: Windows, base: Iris, fit: pigments.PigmentFit, relief: float
+    lit: Lit, windows: Windows, base: Iris, fit: pigments.PigmentFit
 ) -> Morphology:
     """Thickness by the model's response of luminance to thickness."""
     eye, texture, freckles = lit.pose.eye, lit.texture, lit.freckles
@@ -767,9 +768,4 @@ def _thickness_by_model(
         shares = np.linspace(0, 1, 21) ** 2
         darkness = np.stack([shares, windows.freckle_response(iris, shares)])
     known: dict[str, Any] = {"response": windows.thickness_response(usual), "sigma_mm": 0.0}
-    shape = shape_maps(texture, freckles, shade=shade, darkness=darkness, **known)
-    if relief > 0:
-        height = relief * (shape.thickness - generic_thickness(texture.radius()))
-        limited = jnp.clip(jnp.asarray(texture.to_polar(height)), -1, 1)
-        shape = shape._replace(maps=shape.maps.replace(relief=limited))
-    return shape
+    return shape_maps(texture, freckles, shade=shade, darkness=darkness, **known)

@@ -168,7 +168,7 @@ def colour_iris(
         known: Pixels that show the iris and nothing else, whose numbers are sought.
         shown: Pixels whose residual is kept: these, and the rim that fades into the pupil.
         usual: Logarithm of the stroma's usual thickness there over that of the scene's iris.
-        scene: The scene of the global fit; its maps give the relief alone.
+        scene: The scene of the global fit, without maps.
         view: What its camera sees.
         tables: Its tables of light.
         exposure: Exposures of the channels.
@@ -178,8 +178,7 @@ def colour_iris(
     shape, iris, seen = known.shape, scene.tissue, view.iris
     integrator: Any = scene.integrator
     assert seen is not None
-    relief = None if scene.maps is None else scene.maps.relief
-    front = Front(scene.eye, iris, IrisMaps(relief=relief))
+    front = Front(scene.eye, iris, IrisMaps())
     _, exits = integrator.texels(seen, front, Scales())
     shone = integrator.illuminate(seen, scene.all_lights(), front, tables)
     light, mixtures = shone
@@ -232,7 +231,7 @@ def colour_iris(
         held: dict[str, Any] = dict(zip(NAMES[1:], melanins, strict=True))
         if residual is not None:
             held["residual"] = jnp.asarray(np.exp(np.moveaxis(residual, 0, -1)))
-        return IrisMaps(relief=relief, stroma_depth=stroma * iris.stroma_thickness, **held)
+        return IrisMaps(stroma_depth=stroma * iris.stroma_thickness, **held)
 
     # Last of all with the very table of the picture: its errors count where the iris is dark.
     logs = polar(found.logs - middle, known)
