@@ -58,7 +58,9 @@ _POLISH = 3  # with the table of the picture
 _NOISE = 0.006  # least standard deviation of an encoded channel: rounding, JPEG, the model
 _POWER, _DARK = 1 / 2.4, 1e-3  # of the encoding in which errors are alike, and its straight part
 _LONGEST, _DAMPING = 1.5, 1e-3  # longest step of a logarithm; damping of the first one
-_ENOUGH = 0.015  # RMS error of the encoded colours at which no other exposure is wanted
+# Share of pixels `OUTSIDE` up to which no other exposure is wanted. So many may be lamps and lashes
+# that the mask has missed, to which no exposure belongs: the errors of a few decide their RMS.
+_ENOUGH = 0.03
 _BRIGHTNESS = 6.0  # weight of the mean of the channels' errors beside their own
 _COLOURS = 9  # logarithm to base 2 of the number of colours at which the search begins
 _ROWS, _ROWS_COARSEST = 1 << 13, 1 << 10  # pixels solved at a time
@@ -303,8 +305,9 @@ def find_gain(
     tried, errors = {}, {}
     for gain in GAINS:
         tried[gain] = _coarsest(coarsest, response, exposure, gain)
-        errors[gain] = np.sqrt((tried[gain].off[coarsest.known] ** 2).mean())
-        if errors[gain] <= _ENOUGH:
+        off = tried[gain].off[coarsest.known]
+        errors[gain] = np.sqrt((off**2).mean())
+        if (np.abs(off).max(-1) > OUTSIDE).mean() <= _ENOUGH:
             return gain, tried[gain]
     gain = next(g for g in GAINS if errors[g] <= 1.1 * min(errors.values()))
     return gain, tried[gain]
