@@ -24,7 +24,8 @@ from irisjax.tissue.maps import IrisMaps, cell_centres
 IPE_THICKNESS = 0.07
 """Iris pigment epithelium, mm, part of what ultrasound measures  [F09 Section 3]."""
 COLLARETTE = 0.30  # mean place of the collarette between the pupil's edge (0) and the root (1)
-RANGE = (0.1, 3.0)  # thinnest and thickest place of a layer relative to its mean
+STROMA, ABL, MELANIN = (0.15, 2.5), (0.5, 1.6), (0.4, 2.5)
+"""Least and most of a map relative to its mean: wider ones cost the renderer's tables accuracy."""
 FOLD = 0.025  # height of a contraction furrow's crest, mm
 FINEST = 0.045  # mm between neighbouring fibres, below which they are not drawn
 
@@ -130,7 +131,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, has, key) -> dict[str, Noi
         within -= 2.5 * has["ruff"] * rim
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
     stroma *= jnp.exp(surface + within)
-    stroma = _bounded(stroma, place, iris.stroma_thickness)
+    stroma = _bounded(stroma, place, iris.stroma_thickness, STROMA)
     rough = has.keys() & {"fibres", "collarette", "crypts", "ruff"}
     if profile or rough:
         maps["stroma_depth"] = stroma
@@ -138,7 +139,8 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, has, key) -> dict[str, Noi
     height = share * iris.stroma_thickness * _softened(jnp.tanh(surface))
     if "abl" in has:
         mottled = 0.35 * streak + 0.3 * cloud + 0.3 * crest - 0.6 * hole + 0.5 * (cords - 0.45)
-        maps["abl_depth"] = _bounded(1 + has["abl"] * mottled, place, iris.abl_thickness)
+        thickness = jnp.maximum(1 + has["abl"] * mottled, 0.0)
+        maps["abl_depth"] = _bounded(thickness, place, iris.abl_thickness, ABL)
         height += share * (maps["abl_depth"] - iris.abl_thickness)
     if "relief" in has and (rough or has.keys() & {"furrows", "abl"}):
         maps["relief"] = height + FOLD * jnp.minimum(slack, 2.0) * crest
@@ -158,7 +160,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, has, key) -> dict[str, Noi
         dark += 2.0 * rim - 0.8 * (cords - 0.45)
         maps["eumelanin"] = maps.get("eumelanin", 1.0) * jnp.exp(has["patches"] * dark)
     for melanin in maps.keys() & {"eumelanin", "pheomelanin"}:
-        maps[melanin] = _scaled(maps[melanin], place, 1.0)
+        maps[melanin] = _bounded(maps[melanin], place, 1.0, MELANIN)
     return maps
 
 
@@ -186,9 +188,9 @@ def _scaled(thickness, place, mean) -> NoiseField:
     return thickness * (mean * jnp.sum(place) / jnp.sum(thickness * place))
 
 
-def _bounded(thickness, place, mean) -> NoiseField:
-    """The same within `RANGE`, but for what the clipped tails shift the mean."""
-    low, high = RANGE
+def _bounded(thickness, place, mean, within: tuple[float, float]) -> NoiseField:
+    """The same within a range, but for what the clipped tails shift the mean."""
+    low, high = within
     return _scaled(jnp.clip(_scaled(thickness, place, mean), low * mean, high * mean), place, mean)
 
 
