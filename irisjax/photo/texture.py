@@ -12,7 +12,7 @@ from skimage.transform import downscale_local_mean
 
 from irisjax.anatomy.eye import rings_between
 from irisjax.photo.edges import by_channel
-from irisjax.photo.photograph import Brightness, Colours, Mask
+from irisjax.photo.photograph import Brightness, Mask
 from irisjax.photo.pose import Pose, iris_points, project_iris_points
 from irisjax.render import environment
 from irisjax.render.project import View, onto_picture
@@ -31,13 +31,13 @@ class Unrefracted(NamedTuple):
     """A square texture of the iris plane, x and y from −6 to 6 mm: x right, row 0 at y = +6.
 
     Attributes:
-        pixels: Linear values on sRGB's primaries.
+        pixels: Linear values on sRGB's primaries, or of other channels.
         valid: Texels that show the iris: neither pupil nor lids, lashes or highlights.
         pupil_radius: In mm, as `iris_radius`.
         pupil_centre: Middle of the pupil, mm from the axis.
     """
 
-    pixels: Colours
+    pixels: Float[np.ndarray, "rows columns channels"]
     valid: Mask
     pupil_radius: float
     iris_radius: float
@@ -152,7 +152,9 @@ def follow_refraction(pose: Pose, size: int = TEXTURE_SIZE) -> Refraction:
     return Refraction(where[0], where[1], out < np.minimum(edge, reach))
 
 
-def unrefract(pixels: Colours, clear: Mask, pose: Pose, where: Refraction) -> Unrefracted:
+def unrefract(
+    pixels: Float[np.ndarray, "rows columns channels"], clear: Mask, pose: Pose, where: Refraction
+) -> Unrefracted:
     """Return the texture of an iris from the part of a photograph that its camera shows, and from
     the pixels there that are clear of highlights, lashes and lids.
 
