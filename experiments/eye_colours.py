@@ -31,7 +31,7 @@ FREE = {  # usual value, how far off costs as much as one standard deviation, bo
     "eumelanin": (None, 1.5, (1e-3, 10.0)),
     "pheomelanin": (None, 1.5, (1e-3, 20.0)),
     "abl_fraction": (0.5, 0.3, (0.02, 0.98)),
-    "hemoglobin": (0.084, 0.7, (0.01, 0.5)),
+    "hemoglobin": (0.084, 0.5, (0.01, 0.3)),
     "scattering_scale": (1.0, 1.5, (1.0, 40.0)),
 }
 """All but the fraction are searched by their logarithms, in which their widths are."""
@@ -49,13 +49,13 @@ BRIGHT = 41.5
 sixth on both ways together, and refraction more."""
 INSIDE = {  # standard deviations of a* and b* within which a colour is as good as the mean
     "brown": ((-0.8, 0.65), (-0.6, 0.7)),
-    "blue": ((-0.75, 0.75), (-0.85, 0.4)),
+    "blue": ((-0.85, 0.75), (-0.85, 0.2)),
     "green": ((-0.75, 0.65), (-0.65, 0.75)),
 }
 WIDE = (-0.65, 0.65), (-0.6, 0.65)  # of the others
-FAINT = "blue", "amber", "brown", "dark-brown"
-"""Colours that no usual pigments make so bright."""
-LEAST, MOST = -0.3, 0.7  # the same of L*, where the class is bright enough
+LEAST = {"blue": -0.7, "amber": -0.5, "brown": -0.3, "dark-brown": -0.3}
+"""Of colours that no usual pigments make so bright."""
+DIM, MOST = -0.3, 0.7  # the same of L*, where the class is bright enough
 STIFF = 20.0  # weight of a standard deviation beyond those
 STARTS = (1.5, 0.0), (3.0, 0.0), (2.3, -1.0), (2.3, 1.0)  # ln of scattering, of eumelanin's excess
 _LOG = np.array([name != "abl_fraction" for name in FREE])
@@ -125,7 +125,7 @@ def search(colour, model, key, quick=False):
     to_log = functools.partial(_where, np.log)
 
     mean, sd = (values[0] for values in PHOTOGRAPHED_COLOURS[colour])
-    least = LEAST if colour in FAINT else np.clip((BRIGHT - mean) / sd, LEAST, MOST - 0.1)
+    least = LEAST.get(colour, np.clip((BRIGHT - mean) / sd, DIM, MOST - 0.1))
     allowed = np.array([(least, MOST), *INSIDE.get(colour, WIDE)]).T
 
     @functools.lru_cache(maxsize=4)

@@ -16,6 +16,7 @@ from . import transport as transport
 from . import view as view
 from .anatomy.eye import Cornea as Cornea
 from .anatomy.eye import Eye as Eye
+from .anatomy.eye import LimbalRing as LimbalRing
 from .anatomy.eye import Sclera as Sclera
 from .anatomy.media import Media as Media
 from .grow.presets import preset as preset

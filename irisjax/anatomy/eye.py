@@ -28,6 +28,9 @@ EYE_LIMITS = {
     "iris_slope": Range(-0.5, 0.5),
     "limbus_radius": Range(4, 7, "mm"),
     "limbus_width": Range(0.005, 3, "mm"),
+    "darkening": Range(0, 1),
+    "width": Range(0, 2, "mm"),
+    "fade": Range(0.005, 2, "mm"),
     "iris_radius": Range(4, 7, "mm"),
     "pupil_radius": Range(0.25, 4.75, "mm"),
     "pupil_margin": Range(0.005, 1.2, "mm"),
@@ -93,6 +96,25 @@ class Sclera(eqx.Module):
         check_fields(self, EYE_LIMITS)
 
 
+class LimbalRing(eqx.Module):
+    """The dark ring of the iris along the limbus, as photographs show it.
+
+    Its defaults are set by eye. It is a factor on the light from the iris, not a layer of tissue.
+
+    Attributes:
+        darkening: Share of the light that the ring takes.
+        width: Width over which it is darkest, inside the blend of iris and white, mm.
+        fade: Width over which it fades towards the pupil, mm.
+    """
+
+    darkening: Scalar = float_field(0.6)
+    width: Scalar = float_field(0.1)
+    fade: Scalar = float_field(0.6)
+
+    def __check_init__(self) -> None:
+        check_fields(self, EYE_LIMITS)
+
+
 class Eye(eqx.Module):
     """The eye in front of and around the iris.
 
@@ -105,6 +127,7 @@ class Eye(eqx.Module):
             pupil; `None` for a plane, as in F09.
         limbus_radius: Radius of the limbus, where cornea and sclera meet, mm.
         limbus_width: Width over which iris and sclera blend, mm  [F09 Section 6.5: about 1 mm].
+        limbal_ring: The dark ring inside that blend; `None` for none.
         iris_radius: Radius of the root of the iris, mm.
         pupil_radius: Radius of the pupil, mm.
         pupil_margin: Width over which the iris fades into the pupil, mm; 0.005 is sharp in any
@@ -126,6 +149,7 @@ class Eye(eqx.Module):
     iris_slope: Scalar | None = optional_field()
     limbus_radius: Scalar = float_field(5.5)
     limbus_width: Scalar = float_field(1.0)
+    limbal_ring: LimbalRing | None = None
     iris_radius: Scalar = float_field(5.5)
     pupil_radius: Scalar = float_field(1.9)
     pupil_margin: Scalar = float_field(0.12)

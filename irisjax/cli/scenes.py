@@ -10,6 +10,7 @@ from typing import Any
 from irisjax.anatomy import eye
 from irisjax.cli import options as opt
 from irisjax.grow.presets import PRESETS
+from irisjax.grow.vessels import VEINS
 from irisjax.io.images import read_environment
 from irisjax.io.scenes import SceneFile, parse_scene, read_scene
 from irisjax.photo.photograph import Ellipse
@@ -26,6 +27,10 @@ class Subject(opt.Group, panel="What"):
     )
     preset: str | None = opt.choice("an eye in a studio", PRESETS)
     seed: int = opt.seeded("maps of a preset")
+    veins: str | None = opt.choice("vessels of the white", VEINS)
+    limbal_ring: float | None = opt.number(
+        "{}: share of the light that the dark ring at the limbus takes", eye.EYE_LIMITS["darkening"]
+    )
     no_residual: bool = opt.flag("a clone as its pigments alone make it, without the map residual")
 
     def __post_init__(self) -> None:
@@ -40,11 +45,17 @@ class Subject(opt.Group, panel="What"):
         if self.scene is not None:
             if self.preset is not None:
                 raise ValueError("give a SCENE file or --preset, not both")
-            found = read_scene(self.scene)
-            return found.without_residual() if self.no_residual else found
+            return self.changing(read_scene(self.scene))
         if self.preset is None:
             raise ValueError("give a SCENE file or --preset")
-        return parse_scene(_STUDIO.format(self.preset, self.seed), f"preset {self.preset}")
+        studio = _STUDIO.format(self.preset, self.seed)
+        return self.changing(parse_scene(studio, f"preset {self.preset}"))
+
+    def changing(self, file: SceneFile) -> SceneFile:
+        """The scene with what the options say of it."""
+        entries = {"veins": self.veins, "limbal_ring": self.limbal_ring}
+        file = file.with_eye(**{k: v for k, v in entries.items() if v is not None})
+        return file.without_residual() if self.no_residual else file
 
 
 class EyeWithPupil(Subject):

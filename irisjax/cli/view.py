@@ -74,7 +74,7 @@ def _studio(subject: Shown, size: str | None) -> Studio:
     photograph = None
     if subject.scene is not None and subject.preset is None and subject.scene.is_dir():
         file, photograph = read_clone(subject.scene)
-        file = file.without_residual() if subject.no_residual else file
+        file = subject.changing(file)
     else:
         file = subject.read()
     given: dict[str, Any] = {"exposure": file.exposure, "photograph": photograph, "file": file}

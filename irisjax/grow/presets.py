@@ -29,14 +29,15 @@ photograph (46, −2, 2 by its white), and dark brown is one standard deviation 
 brown's mean.
 """
 _FIELDS = "eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "scattering_scale"
+_SATURATION = 0.95
 _IRIDES = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.044, 0.018, 0.491, 0.454, 5.81), (0.051, 0.02, 0.503, 0.302, 11.1)),
-    "grey": ((0.292, 0.037, 0.609, 0.217, 11.9), (0.136, 0.034, 0.533, 0.189, 18.6)),
-    "green": ((0.012, 0.808, 0.98, 0.03, 16.1), (0.041, 1.13, 0.856, 0.035, 32.6)),
-    "hazel": ((0.466, 1.11, 0.673, 0.457, 21.3), (0.387, 1.11, 0.746, 0.31, 30.4)),
-    "amber": ((0.164, 2.24, 0.59, 0.15, 40.0), (0.013, 1.28, 0.98, 0.24, 40.0)),
-    "brown": ((0.89, 0.72, 0.86, 0.5, 40.0), (0.353, 1.5, 0.9, 0.292, 40.0)),
-    "dark-brown": ((1.53, 0.625, 0.544, 0.09, 10.5), (1.62, 0.7, 0.56, 0.096, 19.8)),
+    "blue": ((0.053, 0.02, 0.526, 0.241, 3.63), (0.056, 0.021, 0.51, 0.204, 7.61)),
+    "grey": ((0.28, 0.034, 0.626, 0.11, 9.52), (0.3, 0.046, 0.631, 0.1, 17.6)),
+    "green": ((0.01, 0.812, 0.98, 0.02, 16.9), (0.029, 1.07, 0.98, 0.023, 35.1)),
+    "hazel": ((1.2, 0.4, 0.95, 0.3, 29.7), (0.551, 1.28, 0.72, 0.177, 28.8)),
+    "amber": ((0.196, 2.33, 0.574, 0.11, 38.8), (0.114, 1.46, 0.802, 0.193, 40.0)),
+    "brown": ((1.05, 0.485, 0.953, 0.3, 40.0), (0.671, 1.24, 0.871, 0.218, 40.0)),
+    "dark-brown": ((1.79, 0.401, 0.539, 0.096, 11.7), (1.62, 0.734, 0.576, 0.093, 20.2)),
 }
 _FEATURES: dict[str, dict[str, Any]] = {
     "blue": {"patches": 0.8, "furrows": 2},
@@ -64,13 +65,15 @@ def preset(
 
     Pigments and the strength of scattering are not measured: `experiments/eye_colours.py` finds
     them for each process so that the ciliary zone, with the preset's maps, has the colour of
-    photographed irides within one standard deviation (`PHOTOGRAPHED_COLOURS`). Among those that do
-    it takes the pigments nearest to usual ones, and the weakest scattering: LB06's times 6 to 40 by
-    ILIT and 12 to 40 by radiative transfer, where LB06's own makes every iris too dark. Blue irides
-    have next to no melanin, green and amber ones mostly pheomelanin [Prota et al. 1998, Exp. Eye
-    Res. 67, 293]. The redness of photographed irides takes more blood than LB06's 0.084 mmol/l: up
-    to 0.5, a fifth of pure blood. Fibrils have LB06's radius, whose effect is that of the strength.
-    Hazel and green eyes are browner near the pupil, where their maps add eumelanin.
+    photographed irides within one standard deviation (`PHOTOGRAPHED_COLOURS`), and but for dark
+    brown a tenth of the luminance of the white or more, by their reflectances. Among those that do
+    it takes the pigments nearest to usual ones and the weakest scattering: 4 to 40 times LB06's by
+    ILIT and 8 to 40 times by radiative transfer, where LB06's own makes every iris too dark. Blue
+    irides have next to no melanin, green and amber ones mostly pheomelanin [Prota et al. 1998, Exp.
+    Eye Res. 67, 293]. The redness of photographed irides takes more blood than LB06's 0.084 mmol/l,
+    at most 0.3, an eighth of pure blood; its saturation is 0.95, as in the choroid, where 0.5 would
+    take twice as much. Fibrils have LB06's radius, whose effect is that of the strength. Hazel and
+    green eyes are browner near the pupil, where their maps add eumelanin.
 
     Args:
         colour: Name of the colour.
@@ -90,7 +93,7 @@ def preset(
     check_known("eye colour", colour, sorted(_IRIDES))
     ilit, radiative = _IRIDES[colour]
     chosen = dict(zip(_FIELDS, ilit if isinstance(process, Ilit) else radiative, strict=True))
-    iris = Iris().replace(**chosen).replace(**dict(pigments or {}))
+    iris = Iris().replace(saturation=_SATURATION, **chosen).replace(**dict(pigments or {}))
     wanted = _FEATURES.get(colour, {}) | dict(features or {})
     return iris, procedural(iris, eye, shape=shape, **wanted, key=key)
 

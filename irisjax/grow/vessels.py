@@ -13,6 +13,8 @@ from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.sclera import VeinMap, limbus_angle, sclera_of
 
+VEINS = {"clear": 0.15, "usual": 0.35, "bloodshot": 1.5}
+"""Densities of vessels by name, set by eye."""
 _STEP = 0.06  # mm along a curve
 _CHUNK = 8192  # segments stamped at once
 _LOST = 0.97  # share of a vessel's r³ that leaves it by its daughters

@@ -10,10 +10,10 @@ import jax
 import jax.numpy as jnp
 
 from irisjax._types import PRNGKey
-from irisjax.anatomy.eye import EYE_LIMITS, Cornea, Eye, Sclera
+from irisjax.anatomy.eye import EYE_LIMITS, Cornea, Eye, LimbalRing, Sclera
 from irisjax.grow.presets import PRESETS, preset
 from irisjax.grow.procedural import procedural
-from irisjax.grow.vessels import veins
+from irisjax.grow.vessels import VEINS, veins
 from irisjax.io.images import read_environment
 from irisjax.io.maps import read_maps
 from irisjax.io.sections import EntryCheck, Where, check_sections, checked, listed
@@ -81,6 +81,11 @@ class SceneFile:
         maps = {**self.sections.get("maps", {}), "residual": False}
         return dataclasses.replace(self, sections={**self.sections, "maps": maps})
 
+    def with_eye(self, **entries: Any) -> "SceneFile":
+        """The same scene with other entries of `[eye]`."""
+        eye = {**self.sections.get("eye", {}), **entries}
+        return dataclasses.replace(self, sections={**self.sections, "eye": eye})
+
     def _of(self, section: str) -> dict[str, Any]:
         return dict(self.sections.get(section, {}))
 
@@ -115,11 +120,18 @@ class SceneFile:
     def _eye(self) -> dict[str, Any]:
         given = self._of("eye")
         kind, white = given.pop("cornea", "two-surfaces"), given.pop("sclera", True)
-        density = given.pop("veins", 1.0)
+        density: Any = given.pop("veins", "clear")
+        density = VEINS.get(density, density)
+        ring = {name: given.pop(key) for key, name in RING.items() if key in given}
+        if "file" not in self._of("maps"):
+            given.setdefault("limbus_width", LIMBUS_WIDTH)
+        elif "darkening" not in ring:  # as photographed: the maps hold it
+            ring["darkening"] = 0
         if kind == "f09":
             given = {"aqueous_index": 1.376, **given}
         eye = Eye(
             cornea={"two-surfaces": Cornea(), "f09": Cornea.f09(), "none": None}[kind],
+            limbal_ring=LimbalRing(**ring) if ring.get("darkening", 1) > 0 else None,
             sclera=Sclera(veins=density) if white and kind != "none" else None,
             **given,
         )
@@ -195,11 +207,19 @@ class _SceneError(ValueError):
     """What is wrong in a scene file, its line told."""
 
 
+def _density(value: Any) -> Any:
+    return checked(value, tuple(VEINS) if isinstance(value, str) else EYE_LIMITS["veins"])
+
+
 def _illuminant(value: Any) -> str:
     illuminant_power(checked(value, str), [560.0])
     return value
 
 
+LIMBUS_WIDTH = 0.5
+"""Width of the blend of iris and white where maps are grown, mm: narrower than F09's."""
+RING = {"limbal_ring": "darkening", "limbal_ring_width": "width", "limbal_ring_fade": "fade"}
+"""Entries of `[eye]` that are fields of its `LimbalRing`."""
 PLACES = (
     *("iris_depth", "iris_slope", "limbus_radius", "limbus_width", "iris_radius"),
     *("pupil_radius", "pupil_margin"),
@@ -232,7 +252,9 @@ SECTIONS: dict[str, dict[str, EntryCheck]] = {
     "eye": {
         "cornea": ("two-surfaces", "f09", "none"),
         "sclera": bool,
-        **{name: EYE_LIMITS[name] for name in (*PLACES, "veins", "attenuation", "aqueous_index")},
+        **{name: EYE_LIMITS[name] for name in (*PLACES, "attenuation", "aqueous_index")},
+        **{key: EYE_LIMITS[name] for key, name in RING.items()},
+        "veins": _density,
         "pupil_centre": listed("[x, y] in mm", EYE_LIMITS["pupil_centre"]),
     },
     "camera": {

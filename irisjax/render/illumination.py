@@ -121,6 +121,7 @@ def deciding(eye: Eye) -> Eye:
         "pupil_margin": 0.12,
         "pupil_centre": None,
         "limbus_width": 1.0,
+        "limbal_ring": None,
     }
     return eye.replace(cornea=cornea, sclera=None, **rims)
 

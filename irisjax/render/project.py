@@ -194,7 +194,8 @@ def iris_pixels(index: Array, eye: Eye, camera: Camera) -> IrisPixels:
         front = choose(outside.iris, outside.front, on_cornea(eye.cornea, jnp.stack([aside, zero])))
         direction = choose(outside.iris, direction, ahead)
         point, direction, passed = enter(eye, front, direction)
-        share = passed * jnp.where(outside.iris, 1 - outside.blend, 0.0) / eye.aqueous_index**2
+        shown = (1 - outside.blend) * _past_ring(eye, from_axis(front))
+        share = passed * jnp.where(outside.iris, shown, 0.0) / eye.aqueous_index**2
     cosine = -dot(direction, eye.iris_normal(point))
     share = jnp.where(cosine > 0, share, 0.0)
     return IrisPixels(index, parts(point), parts(direction), jnp.maximum(cosine, 0), share)
@@ -218,6 +219,15 @@ def mirror_pixels(index: Array, eye: Eye, camera: Camera) -> MirrorPixels:
     mirror = parts(reflect_vector(direction, outside.normal))
     share = jnp.where(outside.hit, reflectance, 0.0)
     return MirrorPixels(index, parts(outside.point), mirror, share)
+
+
+def _past_ring(eye: Eye, radius):
+    """Share of the iris's light that the limbal ring leaves, at radii of the cornea, mm."""
+    ring = eye.limbal_ring
+    if ring is None:
+        return 1.0
+    darkest = eye.limbus_radius - eye.limbus_width / 2 - ring.width
+    return 1 - ring.darkening * smoothstep((radius - darkest) / ring.fade + 1)
 
 
 def _film(index, eye: Eye, camera: Camera):

@@ -149,6 +149,11 @@ OPTIONS = [
     ((), "give a SCENE file or --preset"),
     (("scene.toml", "--preset", "blue"), "give a SCENE file or --preset"),
     (
+        ("--preset", "blue", "--veins", "many"),
+        "--veins: unknown 'many'; known: clear, usual, bloodshot",
+    ),
+    (("--preset", "blue", "--limbal-ring", "2"), "--limbal-ring: 2 is outside [0, 1]"),
+    (
         ("--preset", "pink"),
         "--preset: unknown 'pink'; known: blue, grey, green, hazel, amber, brown, dark-brown",
     ),

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.eye import Eye, LimbalRing
 from irisjax.optics.conicoid import Conicoid
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
@@ -99,3 +99,20 @@ def test_far_lamps_in_single_precision():
             return np.stack([*map(np.asarray, towards), np.asarray(power)])
 
     np.testing.assert_allclose(around(False), around(True), rtol=3e-6, atol=1e-6)
+
+
+def test_limbal_ring_darkens_the_iris_inside_its_blend_with_the_white():
+    """The iris's share falls from all to 1 - darkening over the fade, half of it half-way."""
+    camera = Camera(size=(1201, 1), width=12.01, distance=1e5)  # 0.01 mm a pixel, parallel lines
+    pixels = 600 + np.array([350, 425, 450, 475, 510], np.int32)
+
+    def share(ring):
+        return iris_pixels(pixels, Eye(limbus_width=0.5, limbal_ring=ring), camera).share
+
+    def of(darkening):
+        return share(LimbalRing(darkening=darkening, width=0.5, fade=0.5))
+
+    left, slope = jax.jvp(of, (jnp.asarray(0.6),), (jnp.asarray(1.0),))
+    plain = np.asarray(share(None))
+    np.testing.assert_allclose(left / plain, [1, 1, 0.7, 0.4, 0.4], atol=0.02)
+    np.testing.assert_allclose(slope / plain, [0, 0, -0.5, -1, -1], atol=0.035)
