@@ -122,7 +122,7 @@ class SceneFile:
         kind, white = given.pop("cornea", "two-surfaces"), given.pop("sclera", True)
         density: Any = given.pop("veins", "clear")
         density = VEINS.get(density, density)
-        ring = {name: given.pop(key) for key, name in RING.items() if key in given}
+        ring = {name: given.pop(key) for key, name in LIMBAL_RING.items() if key in given}
         if "file" not in self._of("maps"):
             given.setdefault("limbus_width", LIMBUS_WIDTH)
         elif "darkening" not in ring:  # as photographed: the maps hold it
@@ -218,7 +218,7 @@ def _illuminant(value: Any) -> str:
 
 LIMBUS_WIDTH = 0.5
 """Width of the blend of iris and white where maps are grown, mm: narrower than F09's."""
-RING = {"limbal_ring": "darkening", "limbal_ring_width": "width", "limbal_ring_fade": "fade"}
+LIMBAL_RING = {"limbal_ring": "darkening", "limbal_ring_width": "width", "limbal_ring_fade": "fade"}
 """Entries of `[eye]` that are fields of its `LimbalRing`."""
 PLACES = (
     *("iris_depth", "iris_slope", "limbus_radius", "limbus_width", "iris_radius"),
@@ -253,7 +253,7 @@ SECTIONS: dict[str, dict[str, EntryCheck]] = {
         "cornea": ("two-surfaces", "f09", "none"),
         "sclera": bool,
         **{name: EYE_LIMITS[name] for name in (*PLACES, "attenuation", "aqueous_index")},
-        **{key: EYE_LIMITS[name] for key, name in RING.items()},
+        **{key: EYE_LIMITS[name] for key, name in LIMBAL_RING.items()},
         "veins": _density,
         "pupil_centre": listed("[x, y] in mm", EYE_LIMITS["pupil_centre"]),
     },
