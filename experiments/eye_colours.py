@@ -31,12 +31,12 @@ FREE = {  # usual value, how far off costs as much as one standard deviation, bo
     "eumelanin": (None, 1.5, (1e-3, 10.0)),
     "pheomelanin": (None, 1.5, (1e-3, 20.0)),
     "abl_fraction": (0.5, 0.3, (0.02, 0.98)),
-    "hemoglobin": (0.084, 0.5, (0.01, 0.3)),
+    "hemoglobin": (0.084, 0.5, (5e-4, 0.3)),
     "scattering_scale": (1.0, 1.5, (1.0, 40.0)),
 }
 """All but the fraction are searched by their logarithms, in which their widths are."""
 USUAL = {  # eumelanin and pheomelanin, mg/ml: the order of LB06's levels, and Prota's kinds
-    "blue": (0.05, 0.02),
+    "blue": (0.2, 0.02),
     "grey": (0.1, 0.03),
     "green": (0.05, 0.5),
     "hazel": (0.4, 0.8),
@@ -44,12 +44,15 @@ USUAL = {  # eumelanin and pheomelanin, mg/ml: the order of LB06's levels, and P
     "brown": (1.0, 0.5),
     "dark-brown": (2.0, 0.5),
 }
+BLOODLESS = {"blue": 0.002}
+"""Usual haemoglobin, mmol/l, of colours whose thick cords would be pink with more: the blood that
+raises a* there as far as their eyes' mean lies in no cord of a photographed blue iris."""
 BRIGHT = 41.5
 """L* of an iris that has about a tenth of the white's luminance in a picture: the cornea takes a
 sixth on both ways together, and refraction more."""
 INSIDE = {  # standard deviations of a* and b* within which a colour is as good as the mean
     "brown": ((-0.8, 0.65), (-0.6, 0.7)),
-    "blue": ((-0.85, 0.75), (-0.85, 0.2)),
+    "blue": ((-0.9, 0.75), (-0.95, 0.2)),
     "green": ((-0.75, 0.65), (-0.65, 0.75)),
 }
 WIDE = (-0.65, 0.65), (-0.6, 0.65)  # of the others
@@ -118,7 +121,9 @@ def search(colour, model, key, quick=False):
     base, maps = PRESETS[colour](
         Eye(), process=integrator.process, shape=(96 if quick else 192, 64), key=key
     )
-    usual = np.array([*USUAL[colour], *(given[0] for given in list(FREE.values())[2:])])
+    others = {name: given[0] for name, given in FREE.items() if given[0] is not None}
+    others["hemoglobin"] = BLOODLESS.get(colour, others["hemoglobin"])
+    usual = np.array([*USUAL[colour], *others.values()])
     width = np.array([given[1] for given in FREE.values()])
     bounds = np.array([given[2] for given in FREE.values()]).T
     bounds[1, :2] = 3 * usual[:2]

@@ -13,7 +13,7 @@ from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit
 
 PHOTOGRAPHED_COLOURS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
-    "blue": ((36, 1, -6), (9, 3, 7)),
+    "blue": ((0.207, 0.0201, 0.506, 0.002, 2.67), (0.394, 0.017, 0.319, 0.00184, 5.94)),
     "grey": ((40, -1, 0), (8, 3, 4)),
     "green": ((43, -7, 23), (10, 5, 12)),
     "hazel": ((33, 8, 18), (2, 3, 3)),
@@ -67,12 +67,13 @@ def preset(
     them for each process so that the ciliary zone, with the preset's maps, has the colour of
     photographed irides within one standard deviation (`PHOTOGRAPHED_COLOURS`), and but for dark
     brown a tenth of the luminance of the white or more, by their reflectances. Among those that do
-    it takes the pigments nearest to usual ones and the weakest scattering: 4 to 40 times LB06's by
-    ILIT and 8 to 40 times by radiative transfer, where LB06's own makes every iris too dark. Blue
-    irides have next to no melanin, green and amber ones mostly pheomelanin [Prota et al. 1998, Exp.
-    Eye Res. 67, 293]. The redness of photographed irides takes more blood than LB06's 0.084 mmol/l,
-    at most 0.3, an eighth of pure blood; its saturation is 0.95, as in the choroid, where 0.5 would
-    take twice as much. Fibrils have LB06's radius, whose effect is that of the strength. Hazel and
+    it takes the pigments nearest to usual ones and the weakest scattering: 3 to 40 times LB06's by
+    ILIT and 6 to 40 times by radiative transfer, where LB06's own makes every iris too dark. Blue
+    irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998, Exp. Eye
+    Res. 67, 293]. The redness of photographed irides takes more blood than LB06's 0.084 mmol/l, at
+    most 0.3, an eighth of pure blood; its saturation is 0.95, as in the choroid, where 0.5 would
+    take twice as much. Blue irides have next to none: their thick cords, which scatter most, would
+    be pink with it. Fibrils have LB06's radius, whose effect is that of the strength. Hazel and
     green eyes are browner near the pupil, where their maps add eumelanin.
 
     Args:
