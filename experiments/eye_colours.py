@@ -56,7 +56,7 @@ INSIDE = {  # standard deviations of a* and b* within which a colour is as good 
     "green": ((-0.75, 0.65), (-0.65, 0.75)),
 }
 WIDE = (-0.65, 0.65), (-0.6, 0.65)  # of the others
-LEAST = {"blue": -0.62, "amber": -0.5, "brown": -0.3, "dark-brown": -0.3}
+LEAST = {"blue": -0.45, "amber": -0.5, "brown": -0.3, "dark-brown": -0.3}
 """Of colours that no usual pigments make so bright."""
 DIM, MOST = -0.3, 0.7  # the same of L*, where the class is bright enough
 STIFF = 20.0  # weight of a standard deviation beyond those

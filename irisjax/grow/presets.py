@@ -13,7 +13,7 @@ from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit
 
 PHOTOGRAPHED_COLOURS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
-    "blue": ((0.207, 0.0201, 0.506, 0.002, 2.67), (0.394, 0.017, 0.319, 0.00184, 5.94)),
+    "blue": ((36, 1, -6), (9, 3, 7)),
     "grey": ((40, -1, 0), (8, 3, 4)),
     "green": ((43, -7, 23), (10, 5, 12)),
     "hazel": ((33, 8, 18), (2, 3, 3)),
@@ -31,7 +31,7 @@ brown's mean.
 _FIELDS = "eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "scattering_scale"
 _SATURATION = 0.95
 _IRIDES = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.05, 0.02, 0.52, 0.228, 3.8), (0.06, 0.021, 0.51, 0.191, 8.0)),
+    "blue": ((0.208, 0.0204, 0.509, 0.002, 3.01), (0.492, 0.0174, 0.156, 0.00186, 6.86)),
     "grey": ((0.283, 0.037, 0.642, 0.097, 9.77), (0.296, 0.046, 0.657, 0.097, 18.2)),
     "green": ((0.009, 0.823, 0.98, 0.019, 16.7), (0.027, 1.08, 0.98, 0.022, 35.6)),
     "hazel": ((1.2, 0.46, 0.857, 0.3, 28.6), (0.515, 1.31, 0.713, 0.177, 29.0)),
@@ -68,7 +68,7 @@ def preset(
     photographed irides within one standard deviation (`PHOTOGRAPHED_COLOURS`), and but for dark
     brown a tenth of the luminance of the white or more, by their reflectances. Among those that do
     it takes the pigments nearest to usual ones and the weakest scattering: 3 to 40 times LB06's by
-    ILIT and 6 to 40 times by radiative transfer, where LB06's own makes every iris too dark. Blue
+    ILIT and 7 to 40 times by radiative transfer, where LB06's own makes every iris too dark. Blue
     irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998, Exp. Eye
     Res. 67, 293]. The redness of photographed irides takes more blood than LB06's 0.084 mmol/l, at
     most 0.3, an eighth of pure blood; its saturation is 0.95, as in the choroid, where 0.5 would
