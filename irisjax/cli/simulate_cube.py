@@ -30,6 +30,7 @@ _LIMBUS, _PUPIL = 0.48, 0.16  # radii over the width of the cube
 _OUTSIDE, _INSIDE = 0.5, 0.001  # reflectances of the sclera and the pupil
 _WHITE, _DARK, _MOST = 40_000.0, 400.0, 2**16 - 1  # counts
 _HIGHLIGHT = 0.03, 0.28, 0.9  # radius and distance from the centre over the width; its angle
+_STROMA = 0.38, 2.0  # thinnest and thickest stroma relative to its mean
 _VARIED = ("melanin_load", "abl_fraction", "pheomelanin_share", "hemoglobin", "saturation")
 
 
@@ -123,7 +124,8 @@ def _truth(iris: ij.Iris, size: int, key: jax.Array) -> tuple[dict[str, np.ndarr
     def at(texture):
         return 1.0 if texture is None else np.asarray(polar_bilinear(texture, angle, radius))
 
-    abl, stroma = at(maps.abl_scale(iris)), at(maps.stroma_scale(iris))
+    # The prior of the strength of scattering begins at 0.3.
+    abl, stroma = at(maps.abl_scale(iris)), np.clip(at(maps.stroma_scale(iris)), *_STROMA)
     dark, known = at(maps.eumelanin), {n: float(v) for n, v in of_iris(iris).items()}
     share, fraction = known["pheomelanin_share"], known["abl_fraction"]
     # A texel keeps its concentrations: thicker places have more of everything.

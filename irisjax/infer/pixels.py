@@ -147,9 +147,16 @@ def fit_pixels(
 def predict_pixels(
     problem: Problem, values: Mapping[str, Float[np.ndarray, " pixels"]], each: Each = map
 ) -> Float[np.ndarray, "pixels data"]:
-    """Return the spectra of pixels with these values of the free parameters, without noise."""
-    pairs = zip(problem.free, problem.priors, strict=True)
-    z = np.stack([np.asarray(prior.standard(values[n])) for n, prior in pairs], axis=-1)
+    """Return the spectra of pixels with these values of the free parameters, without noise.
+
+    Raises:
+        ValueError: A value lies outside of its prior.
+    """
+    pairs = dict(zip(problem.free, problem.priors, strict=True))
+    z = np.stack([np.asarray(prior.standard(values[n])) for n, prior in pairs.items()], axis=-1)
+    for i, j in np.argwhere(~np.isfinite(z))[:1]:
+        name = problem.free[j]
+        raise ValueError(f"{name} = {values[name][i]:g} is outside of its prior {pairs[name]!r}")
     return by_rows(partial(_predicted, problem.unnamed()), z, _ROWS, each)
 
 

@@ -44,6 +44,14 @@ def spectra(problem):
     return clean + np.hypot(0.02 * clean, 2e-4) * random.standard_normal(clean.shape)
 
 
+def test_values_outside_of_priors_are_refused(problem):
+    inside = {"melanin_load": 0.3, "abl_fraction": 0.5, "hemoglobin": 0.1, "noise": 1.0}
+    values = {name: np.full(3, value) for name, value in inside.items()}
+    values["abl_fraction"][1] = 0.0
+    with pytest.raises(ValueError, match="abl_fraction = 0 is outside of its prior logitnormal"):
+        predict_pixels(problem, values)
+
+
 def test_pixels_are_single_fits(problem, starts, spectra):
     found, o = fit_pixels(problem, spectra, starts), problem.observations[0]
     for i in range(10):
