@@ -48,7 +48,7 @@ def test_values_outside_of_priors_are_refused(problem):
     inside = {"melanin_load": 0.3, "abl_fraction": 0.5, "hemoglobin": 0.1, "noise": 1.0}
     values = {name: np.full(3, value) for name, value in inside.items()}
     values["abl_fraction"][1] = 0.0
-    with pytest.raises(ValueError, match="abl_fraction = 0 is outside of its prior logitnormal"):
+    with pytest.raises(ValueError, match="abl_fraction = 0 is outside of its prior uniform"):
         predict_pixels(problem, values)
 
 
