@@ -16,7 +16,7 @@ from irisjax.optics.conicoid import dot, joined, norm
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.polynomials import along_nodes, polynomials
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import flux_at, shares, tilted
+from irisjax.render.shading import flux_at, hidden_by, shares, tilted
 from irisjax.tissue.iris import Iris
 from irisjax.transport.light import Directions
 
@@ -176,6 +176,8 @@ def light_of(
         towards = arriving / jnp.where(power > 0, power, 1.0)[..., None]
         cosine = -dot(towards, flat)
         lit = (power > 0) & (cosine > 0)
+        if relief is not None:
+            irradiance *= jnp.maximum(1 - (1 - sky) * hidden_by(cosine, eye), 0.0)
         # The line of sight runs into the eye: light comes out against it.
         across = -(dot(towards, view) - dot(towards, flat) * dot(view, flat))
         values = angles.functions(jnp.where(lit, cosine, 1.0), seen.cosine, across)
@@ -184,7 +186,7 @@ def light_of(
     tints = jnp.ones((flux.shape[0], 1), flux.dtype) if tint is None else tint
     shape = tints.shape[1], len(angles.weights()), seen.cosine.size
     total = jax.lax.scan(add, jnp.zeros(shape, flux.dtype), (flux, tints))[0]
-    return total * (sky * shares(seen, eye))
+    return total * shares(seen, eye)
 
 
 @eqx.filter_jit

@@ -54,8 +54,9 @@ class Separable(AbstractTabulated):
     def illuminate(
         self, pixels: IrisPixels, lights: Lights, front: Front, tables: Illumination | None
     ) -> angular.AngularLight:
-        field = field_of(lights, front.eye, front.iris, tables)
-        return irradiance_at(pixels, field, front.eye, front.relief()), None
+        relief = front.relief()
+        field = field_of(lights, front.eye, front.iris, tables, relief=relief is not None)
+        return irradiance_at(pixels, field, front.eye, relief), None
 
 
 class ExitFunctions(angular.AbstractAngular):

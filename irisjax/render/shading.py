@@ -50,10 +50,17 @@ def flux_at(
 
 @eqx.filter_jit
 def field_of(
-    lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, size: int = 161
-) -> Float[Array, "tints 3 rows columns"]:
+    lights: Lights,
+    eye: Eye,
+    iris: Iris,
+    tables: Illumination | None,
+    size: int = 161,
+    *,
+    relief: bool = False,
+) -> Float[Array, "tints vectors rows columns"]:
     """Sum the flux vectors of the lights on a grid over the iris, with the share 1 − F that enters
     the tissue; one tint where no light has a colour of its own. `tables`: `None` for a bare iris.
+    For a `relief` the sum weighted by `hidden_by` follows.
     """
     place = _grid(eye, size)
     normal = eye.iris_normal(place)
@@ -65,11 +72,13 @@ def field_of(
         cosine = -dot(flux, normal) / jnp.where(length > 0, length, 1.0)
         entered = fresnel_at(jnp.maximum(cosine, 0.0), n.aqueous, n.abl)[1]
         flux = flux * jnp.where(cosine > 0, entered, 0.0)[..., None]
+        if relief:
+            flux = jnp.concatenate([flux, flux * hidden_by(cosine, eye)[..., None]], -1)
         tint = jnp.ones(1, flux.dtype) if lights.tint is None else lights.tint[i]
-        return total + jnp.stack(parts(flux)) * tint[:, None, None, None], None
+        return total + jnp.moveaxis(flux, -1, 0) * tint[:, None, None, None], None
 
     tints = 1 if lights.tint is None else 3
-    zero = jnp.zeros((tints, 3, size, size), lights.irradiance.dtype)
+    zero = jnp.zeros((tints, 6 if relief else 3, size, size), lights.irradiance.dtype)
     return jax.lax.scan(add, zero, jnp.arange(len(lights)))[0]
 
 
@@ -144,22 +153,39 @@ def _place_of(pixels: IrisPixels, eye: Eye) -> Place:
 @pixelwise
 def irradiance_at(
     pixels: IrisPixels,
-    field: Float[Array, "tints 3 rows columns"],
+    field: Float[Array, "tints vectors rows columns"],
     eye: Eye,
     relief: Float[Array, "3 angles radii"] | None,
 ) -> Float[Array, "tints 1 pixels"]:
     """Irradiance on the iris at pixels times all shares on the way out to the camera."""
     normal, sky = tilted(pixels, eye, relief)
     flux = flux_at(field, eye.iris_radius, pixels.point)
+    if relief is not None:
+        flux = flux[:, :3] - (1 - sky) * flux[:, 3:]
     towards = [-sum(f * n for f, n in zip(tint, normal, strict=True)) for tint in flux]
-    return (jnp.maximum(jnp.stack(towards), 0.0) * (sky * shares(pixels, eye)))[:, None]
+    return (jnp.maximum(jnp.stack(towards), 0.0) * shares(pixels, eye))[:, None]
+
+
+def hidden_by(cosine: Float[Array, "..."], eye: Eye) -> Float[Array, "..."]:
+    """Factor, for light from one direction, on the share of the sky that a relief hides.
+
+    It is 3 s², s = sin²θ of the polar angle outside of the cornea: light from straight ahead
+    reaches into every fold, light from aside does not, and over a uniform sky the mean is 1.
+
+    Args:
+        cosine: Of the light's angle to the normal of the flat iris, behind the cornea.
+        eye: The eye.
+    """
+    n = 1.0 if eye.cornea is None else eye.aqueous_index
+    s = jnp.minimum(n * n * (1 - cosine * cosine), 1.0)
+    return 3 * s * s
 
 
 def tilted(
     pixels: IrisPixels, eye: Eye, relief: Float[Array, "3 angles radii"] | None
 ) -> tuple[Parts, Float[Array, " pixels"] | float]:
     """Components of the iris's unit normals towards the cornea, tilted by the `relief_of` a
-    relief, and the share of the light that this relief lets through.
+    relief, and the share of a uniform sky that this relief lets through.
     """
     u, v, w = parts(eye.iris_normal(joined(pixels.point)))
     if relief is None:
@@ -204,7 +230,8 @@ def sky_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "angl
     Horizons are sought in eight directions, above the level and above the texel's own tangent
     plane, whose tilt its normal accounts for. The cornea confines the sky to the cone in which
     sin θ ≤ 1/n: a horizon of elevation h leaves min(1, n² cos² h) of its direction's share, so that
-    only what rises by more than √(n² − 1), 41°, shades. A lamp is shaded as the sky is.
+    only what rises by more than √(n² − 1), 41°, shades. `hidden_by` shares out
+    what is hidden among directions.
     """
     rows, columns = relief.shape
     n = 1.0 if eye.cornea is None else eye.aqueous_index

@@ -25,7 +25,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.interpolation import chebyshev_nodes, polar_bilinear
 from irisjax.numerics.portions import pixelwise
-from irisjax.optics.conicoid import norm
+from irisjax.optics.conicoid import joined, norm
 from irisjax.optics.phase import rayleigh
 from irisjax.render.angular import AngularFunctions, surface_indices
 from irisjax.render.bands import Bands
@@ -35,7 +35,7 @@ from irisjax.render.lights import Lights
 from irisjax.render.polynomials import polynomials
 from irisjax.render.project import IrisPixels
 from irisjax.render.radiative import RadiativeIntegrator
-from irisjax.render.shading import Front, flux_at, fluxes_of, shares, tilted
+from irisjax.render.shading import Front, flux_at, fluxes_of, hidden_by, shares, tilted
 from irisjax.render.surfaces import IrisSurface
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
@@ -274,7 +274,7 @@ def _sources(pixels: IrisPixels, direction: Float[Array, "3 pixels"], data: Scen
     """Of each light at each pixel, shapes (lights, pixels): irradiance across the light times the
     phase function (1/sr), and the slant 1/μ_i."""
     normal, sky = tilted(pixels, data.eye, data.relief)
-    normal = jnp.stack(normal)
+    normal, flat = jnp.stack(normal), data.eye.iris_normal(joined(pixels.point)).T
 
     def one(flux):
         found = flux_at(flux, data.eye.iris_radius, pixels.point)
@@ -284,7 +284,10 @@ def _sources(pixels: IrisPixels, direction: Float[Array, "3 pixels"], data: Scen
         bend = (towards * direction).sum(0)
         lit = (power > 0) & (cosine > 1e-3)
         phase = rayleigh(bend) / (4 * jnp.pi)
-        return jnp.where(lit, power * phase * sky, 0.0), 1 / jnp.where(lit, cosine, 1.0)
+        if data.relief is not None:
+            hidden = (1 - sky) * hidden_by(-(towards * flat).sum(0), data.eye)
+            power = power * jnp.maximum(1 - hidden, 0.0)
+        return jnp.where(lit, power * phase, 0.0), 1 / jnp.where(lit, cosine, 1.0)
 
     return jax.lax.map(one, data.flux)
 

@@ -16,6 +16,7 @@ from irisjax.cli.engine import Lost, Workers, each, fault_of
 # Dask leaves the sockets of a scheduler that was killed to the garbage collector.
 pytestmark = [pytest.mark.peer, pytest.mark.filterwarnings("ignore::ResourceWarning")]
 pytest.importorskip("distributed")
+psutil = pytest.importorskip("psutil")  # distributed needs it
 
 ROOT = os.path.dirname(os.path.dirname(os.path.dirname(os.path.abspath(__file__))))
 
@@ -192,7 +193,12 @@ def test_equal_bytes_whatever_the_workers_and_the_faults(tmp_path):
     assert not list(target.glob("*"))
 
     stopped = _command(tmp_path, "-o", target, "--workers", "2", start_new_session=True)
-    time.sleep(5)
+    # Once both workers are there, beside the tracker of their pipes: they import for a second.
+    for _ in range(200):
+        if len(psutil.Process(stopped.pid).children(recursive=True)) >= 3:
+            break
+        time.sleep(0.1)
+    time.sleep(0.5)
     stopped.send_signal(signal.SIGINT)
     assert stopped.communicate(timeout=20)[1] == "irisjax: interrupted\n"
     assert stopped.returncode == 130
