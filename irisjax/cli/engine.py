@@ -23,6 +23,7 @@ _Key = TypeVar("_Key", bound=Hashable)
 _PIECES_AHEAD = 4  # for each core of the workers: none of these waits, and a scheduler has few
 _PATIENCE = 120  # seconds in which a lost scheduler may come back
 _CONNECTING = 10  # seconds in which one must answer at first
+_KILLED = "the worker died on it several times (has it enough memory?)"
 
 
 class Workers(opt.Group, panel="Workers"):
@@ -75,19 +76,38 @@ def each(
         for name in pieces:
             yield name, function(*pieces[name])
         return
-    left, since = dict.fromkeys(pieces), None
     with _scheduler_of(workers) as (address, shares):
-        while left:
-            done = len(left)
-            with _connected(address, _CONNECTING if since is None else _PATIENCE) as client:
-                client.register_plugin(import_module("irisjax.cli.worker").Ready(shares))
-                yield from _until_lost(client, function, pieces, left)
-            if left:  # the scheduler is gone, or has forgotten
-                lost = time.monotonic()
-                since = lost if since is None or len(left) < done else since
-                if lost - since > _PATIENCE:
-                    raise ValueError(f"{address}: the scheduler is lost; --resume continues")
-                time.sleep(0.5)
+        suspects: list[_Key] = []
+        for name, result in _done(address, shares, function, pieces, dict.fromkeys(pieces)):
+            if result == Lost(_KILLED):
+                suspects.append(name)
+            else:
+                yield name, result
+        # A scheduler blames a worker's death on all that waited for that worker: once more, alone.
+        for name in suspects:
+            yield from _done(address, shares, function, pieces, {name: None})
+
+
+def _done(
+    address: str,
+    shares: int | None,
+    function: Callable[..., Any],
+    pieces: Mapping[_Key, tuple[Any, ...]],
+    left: dict[_Key, None],
+) -> Iterator[tuple[_Key, Any]]:
+    """Do the pieces that are left, whatever happens to the scheduler."""
+    since = None
+    while left:
+        done = len(left)
+        with _connected(address, _CONNECTING if since is None else _PATIENCE) as client:
+            client.register_plugin(import_module("irisjax.cli.worker").Ready(shares))
+            yield from _until_lost(client, function, pieces, left)
+        if left:  # the scheduler is gone, or has forgotten
+            lost = time.monotonic()
+            since = lost if since is None or len(left) < done else since
+            if lost - since > _PATIENCE:
+                raise ValueError(f"{address}: the scheduler is lost; --resume continues")
+            time.sleep(0.5)
 
 
 def _until_lost(
@@ -171,5 +191,5 @@ def fault_of(error: BaseException) -> str:
     if isinstance(error, ValueError | OSError):
         return words
     if type(error).__name__ == "KilledWorker":  # dask's, which is not always installed
-        return "the worker died on it several times (has it enough memory?)"
+        return _KILLED
     return f"internal error: {type(error).__name__}: {words}"
