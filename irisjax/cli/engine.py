@@ -79,7 +79,7 @@ def each(
     with _scheduler_of(workers) as (address, shares):
         suspects: list[_Key] = []
         for name, result in _done(address, shares, function, pieces, dict.fromkeys(pieces)):
-            if result == Lost(_KILLED):
+            if isinstance(result, Lost) and result.why == _KILLED:
                 suspects.append(name)
             else:
                 yield name, result
