@@ -45,8 +45,8 @@ USUAL = {  # eumelanin and pheomelanin, mg/ml: the order of LB06's levels, and P
     "dark-brown": (2.0, 0.5),
 }
 BLOODLESS = {"blue": 0.002}
-"""Usual haemoglobin, mmol/l, of colours whose thick cords would be pink with more: the blood that
-raises a* there as far as their eyes' mean lies in no cord of a photographed blue iris."""
+"""Usual haemoglobin, mmol/l, of colours whose thick cords would be pink with more. Blood could raise
+their a* to the mean of the class, but no photographed blue iris has pink cords."""
 BRIGHT = 41.5
 """L* of an iris that has about a tenth of the white's luminance in a picture: the cornea takes a
 sixth on both ways together, and refraction more."""
@@ -57,8 +57,9 @@ INSIDE = {  # standard deviations of a* and b* within which a colour is as good 
 }
 WIDE = (-0.65, 0.65), (-0.6, 0.65)  # of the others
 LEAST = {"blue": -0.45, "amber": -0.5, "brown": -0.3, "dark-brown": -0.3}
-"""Of colours that no usual pigments make so bright."""
-DIM, MOST = -0.3, 0.7  # the same of L*, where the class is bright enough
+"""Smallest L*, in standard deviations from the class's mean, of the colours that no usual pigments
+make as bright as `BRIGHT`."""
+DIM, MOST = -0.3, 0.7  # smallest and largest L* of the others, in the same unit
 STIFF = 20.0  # weight of a standard deviation beyond those
 STARTS = (1.5, 0.0), (3.0, 0.0), (2.3, -1.0), (2.3, 1.0)  # ln of scattering, of eumelanin's excess
 _LOG = np.array([name != "abl_fraction" for name in FREE])

@@ -110,7 +110,7 @@ class SpectralMeasurement(opt.Group, panel="Measurement"):
 
     @property
     def seen(self) -> dict[str, Any]:
-        """What `irisjax.spectrum` is told beside the numbers."""
+        """Geometry and bands of the instrument, as arguments of `irisjax.spectrum`."""
         return {
             **{
                 name: getattr(self, name) for name in ("cos_incidence", "first_surface", "aperture")
@@ -166,7 +166,7 @@ class Measurements(SpectralMeasurement):
 
     @property
     def seen(self) -> dict[str, Any]:
-        """What `irisjax.spectrum` is told beside the numbers."""
+        """All arguments of `irisjax.spectrum` but the wavelengths and the values."""
         lamp = self.illuminant if "illuminant" in self.typed else None
         return {
             **super().seen,

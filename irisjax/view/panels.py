@@ -250,7 +250,7 @@ def sliders(gui: "viser.GuiApi", folder: str, settings: CommonSettings) -> dict[
 
 
 def shown(name: str, value: Any) -> Any:
-    """What a widget shows for the value of a setting."""
+    """Return the number that the widget of a setting shows: a logarithm for `LOGARITHMIC` ones."""
     if name not in LOGARITHMIC:
         return value
     lowest = SLIDERS["Iris"][name][1]
@@ -258,7 +258,7 @@ def shown(name: str, value: Any) -> Any:
 
 
 def meant(name: str, value: Any) -> Any:
-    """The value of a setting by what its widget shows."""
+    """Return the value of a setting from the number that its widget shows."""
     if name not in LOGARITHMIC:
         return value
     return 0.0 if value <= SLIDERS["Iris"][name][1] else 10.0**value

@@ -171,9 +171,9 @@ class Session(abc.ABC, Generic[S]):
 
     def _drawn(self, kept: KeptPicture, s: S, draft: bool) -> tuple[np.ndarray, float | None]:
         scene = self._set(s, self._size(draft))
-        # What the camera sees depends neither on the pupil nor on light. All pixels of a draft are
-        # drawn: `look` has other shapes, and programs, for every number of pixels, for which a
-        # camera that is dragged would have to wait.
+        # The view depends neither on the pupil nor on light. A draft projects all pixels: `look`
+        # selects those of each part, and a new number of them compiles a new program, which would
+        # interrupt the dragging of the camera.
         see = _projected if draft else look
         view = kept.view.of(values_of(s, CAMERA), lambda: see(scene.eye, scene.camera))
         surfaces = values_of(s, (*CAMERA, "environment", "strength", *self._SURFACES))

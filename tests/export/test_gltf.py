@@ -143,7 +143,7 @@ def test_materials_follow_the_schemas():
 
 
 def test_one_surface_of_the_humour_magnifies_as_both_of_the_cornea():
-    """Of a point on the axis, by vergences; what the glTF's only refracting surface relies on."""
+    """The pupil's magnification by vergences: the glTF replaces two surfaces of the cornea by one."""
     front, back, cornea, humour = 7.8e-3, 6.5e-3, 1.3771, 1.336
 
     def through(vergence, index, beyond, radius):
