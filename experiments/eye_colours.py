@@ -45,8 +45,8 @@ USUAL = {  # eumelanin and pheomelanin, mg/ml: the order of LB06's levels, and P
     "dark-brown": (2.0, 0.5),
 }
 BLOODLESS = {"blue": 0.002}
-"""Usual haemoglobin, mmol/l, of colours whose thick cords would be pink with more. Blood could raise
-their a* to the mean of the class, but no photographed blue iris has pink cords."""
+"""Usual haemoglobin, mmol/l, of colours whose thick cords would be pink with more. Blood could
+raise their a* to the mean of the class, but no photographed blue iris has pink cords."""
 BRIGHT = 41.5
 """L* of an iris that has about a tenth of the white's luminance in a picture: the cornea takes a
 sixth on both ways together, and refraction more."""

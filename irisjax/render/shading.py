@@ -170,7 +170,9 @@ def hidden_by(cosine: Float[Array, "..."], eye: Eye) -> Float[Array, "..."]:
     """Factor, for light from one direction, on the share of the sky that a relief hides.
 
     It is 3 s², s = sin²θ of the polar angle outside of the cornea: light from straight ahead
-    reaches into every fold, light from aside does not, and over a uniform sky the mean is 1.
+    reaches into every fold, light from aside does not, and over a uniform sky the mean is 1. Where
+    a relief hides more than a third of the sky, this exceeds the light from the rim, of which
+    nothing is then left; irides that `procedural` grows hide at most a twentieth.
 
     Args:
         cosine: Of the light's angle to the normal of the flat iris, behind the cornea.
