@@ -35,6 +35,7 @@ from .recipes import read_recipe as read_recipe
 from .scenes import SceneFile as SceneFile
 from .scenes import parse_scene as parse_scene
 from .scenes import read_scene as read_scene
+from .scenes import scene_text as scene_text
 from .tables import Table as Table
 from .tables import check_writable as check_writable
 from .tables import format_table as format_table

@@ -9,7 +9,8 @@ import numpy as np
 
 from irisjax.io.images import encode_exr, encode_png
 from irisjax.io.maps import encode_maps
-from irisjax.io.sections import plain, toml_of
+from irisjax.io.scenes import scene_text
+from irisjax.io.sections import plain
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.clone import (
     DOUBTS,
@@ -29,7 +30,6 @@ from irisjax.photo.pigments import PIGMENT_UNITS, iris_of_concentrations
 from irisjax.photo.pose import Pose, limbus_spread
 from irisjax.photo.texels import NAMES
 from irisjax.photo.texture import HALF_WIDTH
-from irisjax.render.integrators import integrator_name
 from irisjax.tissue.iris import Iris
 
 UNREFRACTED_PICTURE, VISIBLE_MASK = "unrefracted.png", "visible.png"
@@ -81,10 +81,14 @@ def files_of(
         image, names = np.concatenate(layers, -1), (*NAMES, "hidden")
         found["deviations.exr"] = encode_exr("deviations.exr", image, names, remark)
     if isinstance(clone, Fitted):
-        found["scene.toml"] = scene_text(clone).encode()
-        around = clone.scene().environment
+        scene, exposure = clone.scene(), float(np.clip(clone.exposure[1], 1e-6, 1e6))
+        around = scene.environment
+        given = {"maps": {"file": "maps.exr"}, "picture": {"exposure": exposure}}
         if around is not None and not around.is_uniform():
             found["environment.exr"] = encode_exr("environment.exr", np.asarray(around.radiance))
+            given["environment"] = {"file": "environment.exr"}
+        text = scene_text(scene, given, f"{_REMARK}: {clone.photograph.name}")
+        found["scene.toml"] = text.encode()
         if log := clone.fit.log:
             rows = [",".join(log[0]), *(",".join(f"{v:.6g}" for v in r.values()) for r in log)]
             found["convergence.csv"] = ("\n".join(rows) + "\n").encode()
@@ -214,53 +218,6 @@ def _pose(pose: Pose) -> dict[str, object]:
         "pupil_centre_mm": pose.pupil_centre,
         "iris_depth_mm": eye.iris_depth,
     }
-
-
-def scene_text(clone: Fitted) -> str:
-    """Return a scene file of the eye as it was photographed."""
-    scene = clone.scene()
-    eye, camera, around, lights = scene.eye, scene.camera, scene.environment, scene.lights
-    assert eye.cornea is not None
-    pigments = "eumelanin", "pheomelanin", "abl_fraction", "pheomelanin_abl_fraction"
-    structure = "stroma_thickness", "fibril_radius", "scattering_scale"
-    absorbs = () if scene.tissue.absorption == "lb06" else ("absorption",)
-    places = "pupil_radius", "pupil_margin", "limbus_width", "iris_depth"
-    sections: dict[str, object] = {
-        "iris": {name: getattr(scene.tissue, name) for name in (*pigments, *structure, *absorbs)},
-        "maps": {"file": "maps.exr"},
-        "eye": {
-            "cornea": "f09" if eye.cornea.posterior is None else "two-surfaces",
-            **{name: getattr(eye, name) for name in places},
-            **({} if eye.pupil_centre is None else {"pupil_centre": eye.pupil_centre}),
-        },
-        "camera": {
-            "size": camera.size,
-            "polar_deg": np.degrees(camera.polar),
-            "azimuth_deg": np.degrees(camera.azimuth),
-            "distance": camera.distance,
-            "width": camera.width,
-            "images": camera.images,
-        },
-        "picture": {
-            "exposure": np.clip(clone.exposure[1], 1e-6, 1e6),
-            "integrator": integrator_name(scene.integrator),
-        },
-    }
-    if around is not None and around.is_uniform():
-        sections["environment"] = {"kind": "uniform", "strength": around.radiance[0, 0, 0]}
-    elif around is not None:
-        sections["environment"] = {"file": "environment.exr"}
-    if lights is not None:
-        x, y, z = np.asarray(lights.towards, np.float64).T
-        columns = {
-            "polar_deg": np.degrees(np.arccos(np.clip(-z, -1, 1))),
-            "azimuth_deg": np.degrees(np.arctan2(y, x)),
-            "irradiance": lights.irradiance,
-            "radius_deg": np.degrees(lights.radius),
-        }
-        rows = zip(*columns.values(), strict=True)
-        sections["light"] = [dict(zip(columns, row, strict=True)) for row in rows]
-    return f"# {_REMARK}: {clone.photograph.name}\n{toml_of(plain(sections, 6))}"
 
 
 def _ellipse(outline: Ellipse) -> dict[str, object]:

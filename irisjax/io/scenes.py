@@ -8,6 +8,7 @@ from typing import Any, get_args
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import EYE_LIMITS, Cornea, Eye, LimbalRing, Sclera
@@ -16,13 +17,21 @@ from irisjax.grow.procedural import procedural
 from irisjax.grow.vessels import VEINS, veins
 from irisjax.io.images import read_environment
 from irisjax.io.maps import read_maps
-from irisjax.io.sections import EntryCheck, Where, check_sections, checked, listed
+from irisjax.io.sections import (
+    EntryCheck,
+    Where,
+    check_sections,
+    checked,
+    listed,
+    plain,
+    toml_of,
+)
 from irisjax.io.text import read_text
 from irisjax.measure.colour import illuminant_power
 from irisjax.numerics.checks import Range
 from irisjax.render.camera import CAMERA_LIMITS, LARGEST, Camera
 from irisjax.render.environment import ENVIRONMENTS
-from irisjax.render.integrators import INTEGRATORS, finer
+from irisjax.render.integrators import INTEGRATORS, finer, integrator_name
 from irisjax.render.lights import LIGHT_LIMITS, Lights
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
 from irisjax.tissue.iris import FRACTIONS, LIMITS, MELANIN_LOAD, Absorption, Iris
@@ -203,8 +212,73 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
     return SceneFile(sections, where, folder)
 
 
+def scene_text(
+    scene: Scene, given: Mapping[str, Mapping[str, Any]] | None = None, remark: str = ""
+) -> str:
+    """Return the text of a scene file that is read back as an equal scene, angles to 1e-5 degrees.
+
+    Args:
+        scene: A scene whose cornea, integrator and optical models are those that files can name.
+        given: Further entries by section: what the scene does not hold (its `exposure`, a `preset`,
+            the `seed` of its maps and veins), and the `file` of maps and of an environment that is
+            not uniform.
+        remark: First line, a comment.
+    """
+    eye, camera, around = scene.eye, scene.camera, scene.environment
+    named, ring = {} if given is None else given, eye.limbal_ring
+    two = eye.cornea is not None and eye.cornea.posterior is not None
+    sections: dict[str, dict[str, Any]] = {
+        "iris": {name: getattr(scene.tissue, name) for name in (*_IRIS, "absorption")},
+        "maps": {"uniform": True} if scene.maps is None else {},
+        "eye": {
+            "cornea": "none" if eye.cornea is None else "two-surfaces" if two else "f09",
+            **({"sclera": False} if eye.sclera is None else {"veins": eye.sclera.veins}),
+            **{name: getattr(eye, name) for name in (*_EYE, "pupil_centre")},
+            **{k: getattr(ring, n) if ring else None for k, n in LIMBAL_RING.items()},
+            **({} if ring else {"limbal_ring": 0.0}),
+        },
+        "camera": {
+            **{f"{name}_deg": _degrees(getattr(camera, name)) for name in ("polar", "azimuth")},
+            **{name: getattr(camera, name) for name in ("distance", "width", "images", "size")},
+        },
+        "picture": {
+            "integrator": integrator_name(scene.integrator),
+            "illuminant": scene.illuminant,
+        },
+    }
+    if around is not None:
+        sections["environment"] = {"lights": scene.environment_lights}
+        if "environment" not in named:
+            assert around.is_uniform()
+            sections["environment"] |= {"kind": "uniform", "strength": around.radiance[0, 0, 0]}
+    for name, entries in named.items():
+        sections[name] = sections.get(name, {}) | dict(entries)
+    written: dict[str, Any] = {
+        name: {key: value for key, value in entries.items() if value is not None}
+        for name, entries in sections.items()
+    }
+    if scene.lights is not None:
+        written["light"] = [_light(scene.lights, k) for k in range(len(scene.lights))]
+    return f"# {remark}\n{toml_of(plain(written))}"
+
+
+def _light(lights: Lights, k: int) -> dict[str, Any]:
+    x, y, z = np.asarray(lights.towards[k], np.float64)
+    polar, azimuth = math.atan2(math.hypot(x, y), -z), math.atan2(y, x)
+    place: dict[str, Any] = {"polar_deg": _degrees(polar), "azimuth_deg": _degrees(azimuth)}
+    if lights.distance is not None and np.isfinite(away := float(lights.distance[k])):
+        place = {"position": [round(away * v, 5) for v in (x, y, z)]}
+    tint = {} if lights.tint is None else {"colour": lights.tint[k]}
+    power = {"irradiance": lights.irradiance[k], "radius_deg": _degrees(lights.radius[k])}
+    return place | tint | power
+
+
+def _degrees(angle: Any) -> float:
+    return round(math.degrees(angle), 5)
+
+
 class _SceneError(ValueError):
-    """What is wrong in a scene file, its line told."""
+    """An error in a scene file, whose message names the line."""
 
 
 def _density(value: Any) -> Any:
@@ -220,11 +294,13 @@ LIMBUS_WIDTH = 0.5
 """Width of the blend of iris and white where maps are grown, mm: narrower than F09's."""
 LIMBAL_RING = {"limbal_ring": "darkening", "limbal_ring_width": "width", "limbal_ring_fade": "fade"}
 """Entries of `[eye]` that are fields of its `LimbalRing`."""
-PLACES = (
+# Numbers of `Eye` and `Iris` that are entries under their own names.
+_EYE = (
     *("iris_depth", "iris_slope", "limbus_radius", "limbus_width", "iris_radius"),
-    *("pupil_radius", "pupil_margin"),
+    *("pupil_radius", "pupil_margin", "attenuation", "aqueous_index"),
 )
-"""Where the parts of an eye are, in the section `[eye]`."""
+# Behind the iris of a picture is nothing: its epithelium is black.
+_IRIS = tuple(name for name in LIMITS if name != "ipe_melanin")
 FEATURES: dict[str, EntryCheck] = {
     "fibres": Range(0, 4),
     "collarette": Range(0, 4),
@@ -243,8 +319,7 @@ SECTIONS: dict[str, dict[str, EntryCheck]] = {
         "preset": tuple(PRESETS),
         "level": ("low", "moderate", "high"),
         "melanin_load": MELANIN_LOAD,
-        # Behind the iris of a picture is nothing: its epithelium is black.
-        **{name: limits for name, limits in LIMITS.items() if name != "ipe_melanin"},
+        **{name: LIMITS[name] for name in _IRIS},
         "absorption": get_args(Absorption),
         **FRACTIONS,
     },
@@ -252,7 +327,7 @@ SECTIONS: dict[str, dict[str, EntryCheck]] = {
     "eye": {
         "cornea": ("two-surfaces", "f09", "none"),
         "sclera": bool,
-        **{name: EYE_LIMITS[name] for name in (*PLACES, "attenuation", "aqueous_index")},
+        **{name: EYE_LIMITS[name] for name in _EYE},
         **{key: EYE_LIMITS[name] for key, name in LIMBAL_RING.items()},
         "veins": _density,
         "pupil_centre": listed("[x, y] in mm", EYE_LIMITS["pupil_centre"]),

@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Callable, Mapping
 from typing import Any
 
+import numpy as np
 import tomlkit
 
 from irisjax.numerics.checks import Range
@@ -108,16 +109,24 @@ def toml_of(sections: Mapping[str, Any]) -> str:
     return tomlkit.dumps(document)
 
 
-def plain(value: Any, digits: int) -> Any:
-    """A value in Python's own types with so many digits; `None` for what is not finite."""
+def plain(value: Any, digits: int | None = None) -> Any:
+    """A value in Python's own types; `None` for what is not finite. Numbers have so many digits, by
+    default as many as their precision needs.
+    """
     if isinstance(value, Mapping):
         return {str(k): plain(v, digits) for k, v in value.items()}
+    if hasattr(value, "tolist"):
+        found = np.asarray(value)
+        if not found.ndim and found.dtype.kind == "f":
+            value = float(str(found))  # the fewest digits that are this number in its precision
+        else:
+            value = list(found) if found.ndim else found.item()
     if isinstance(value, list | tuple):
         return [plain(v, digits) for v in value]
-    if hasattr(value, "tolist"):
-        return plain(value.tolist(), digits)
     if isinstance(value, float):
-        return float(f"{value:.{digits}g}") if math.isfinite(value) else None
+        if not math.isfinite(value):
+            return None
+        return value if digits is None else float(f"{value:.{digits}g}")
     return value
 
 

@@ -6,20 +6,20 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float
 
-from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.io.clone_folders import check_summary
 from irisjax.io.clones import UNREFRACTED_PICTURE, VISIBLE_MASK
 from irisjax.io.images import READABLE, read_image
 from irisjax.io.maps import encode_maps
-from irisjax.io.scenes import PLACES, read_scene
-from irisjax.io.sections import plain, toml_of
+from irisjax.io.scenes import read_scene, scene_text
 from irisjax.ocularist.plan import TEXTURE_SHAPE
 from irisjax.ocularist.tissue import Tissue, reflectance_of
 from irisjax.photo.texture import HALF_WIDTH, to_polar
 from irisjax.render.integrators import integrator_name
+from irisjax.render.lights import Lights
 from irisjax.render.radiative import RadiativeIntegrator
+from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
-from irisjax.tissue.iris import LIMITS
 
 TISSUE_MAPS, TISSUE_SCENE = "maps.exr", "scene.toml"
 """Names of the files of a painted eye as tissue."""
@@ -70,21 +70,18 @@ def tissue_files(tissue: Tissue, eye: Eye) -> dict[str, bytes]:
     with that iris, behind F09's cornea, at an exposure at which it is as bright as the paint;
     without the white, which would be overexposed.
     """
-    iris, places = (
-        {name: value for name in names if (value := getattr(of, name)) is not None}
-        for of, names in ((tissue.iris, LIMITS), (eye, PLACES))
+    scene = Scene(
+        tissue.iris,
+        tissue.maps,
+        eye=eye.replace(cornea=Cornea.f09(), aqueous_index=1.376, sclera=None),
+        lights=Lights.distant(0.6, 2.1),
     )
-    sections = {
-        "iris": iris,
-        "maps": {"file": TISSUE_MAPS},
-        "eye": {"cornea": "f09", "sclera": False, **places},
-        "picture": {"exposure": tissue.exposure},
-    }
-    text = (
-        "# A painted eye as tissue, by irisjax. Its colours differ from the paint's by a mean dE*ab"
+    given = {"maps": {"file": TISSUE_MAPS}, "picture": {"exposure": tissue.exposure}}
+    remark = (
+        "A painted eye as tissue, by irisjax. Its colours differ from the paint's by a mean dE*ab"
         f"\n# of {tissue.left.mean:.1f} at this exposure; the white (sclera = true) is overexposed."
-        f"\n\n{toml_of(plain(sections, 7))}"
     )
+    text = scene_text(scene, given, remark)
     return {TISSUE_MAPS: encode_maps(TISSUE_MAPS, tissue.maps), TISSUE_SCENE: text.encode()}
 
 

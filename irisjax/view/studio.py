@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from irisjax.grow.presets import PRESETS
-from irisjax.io.scenes import SceneFile, stream
-from irisjax.io.sections import plain, toml_of
+from irisjax.io.scenes import SceneFile, scene_text, stream
 from irisjax.measure.colour import Colour, colour_of
 from irisjax.measure.photometers import reflectance
 from irisjax.numerics.checks import Range, check_known, check_range
@@ -20,7 +19,7 @@ from irisjax.render.integrator import AbstractIntegrator
 from irisjax.render.integrators import INTEGRATORS, integrator_name
 from irisjax.render.picture import prepared_scene
 from irisjax.render.scene import Scene
-from irisjax.tissue.iris import LIMITS, Iris
+from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.defaults import exact_solver
 from irisjax.transport.process import AbstractProcess
@@ -123,42 +122,27 @@ class Studio(Session[Settings]):
         files that it names have absolute names. Needs the `file` that the scene was read from.
         """
         assert self.file is not None
-        s, given = self.settings, self.file.sections
-        parts = {name: dict(given.get(name, {})) for name in ("iris", "maps", "eye", "camera")}
-        iris = self._iris(s)
-        fields = (*(name for name in LIMITS if name != "ipe_melanin"), "absorption")
-        numbers = {name: value for name in fields if (value := getattr(iris, name)) is not None}
-        preset = parts["iris"].get("preset") if s.preset == GIVEN else s.preset
-        parts["iris"] = ({} if preset is None else {"preset": preset}) | numbers
+        s, sections, scene = self.settings, self.file.sections, self.scene()
+        named: dict[str, dict[str, Any]] = {
+            name: dict(sections.get(name, {})) for name in ("maps", "environment")
+        }
+        preset = sections.get("iris", {}).get("preset")
         if s.preset != GIVEN:
-            parts["maps"] = {"seed": s.seed}
-        parts["eye"]["pupil_radius"] = s.pupil_radius
-        angles = {"polar_deg": s.camera_polar, "azimuth_deg": s.camera_azimuth}
-        size = self._base.camera.size
-        parts["camera"] |= {**angles, "width": s.width, "size": size}
-        picture = {"exposure": s.exposure, "integrator": s.integrator}
-        sections = {**parts, "picture": {**given.get("picture", {}), **picture}}
-        around = dict(given.get("environment", {})) if s.environment == GIVEN else {}
-        if s.strength > 0 and s.environment != "none":
-            around |= {} if s.environment == GIVEN else {"kind": s.environment}
-            sections["environment"] = around | {
-                "strength": around.get("strength", 1.0) * s.strength,
-                "lights": self._base.environment_lights,
-            }
-        lamps = [dict(lamp) for lamp in given.get("light", [])]
-        if lamps or s.irradiance > 0 or "environment" not in sections:
-            first, *others = lamps or [{}]
-            where = {"polar_deg": s.light_polar, "azimuth_deg": s.light_azimuth}
-            if (at := first.pop("position", None)) is not None:
-                lights = self.scene().lights
-                assert lights is not None
-                where = {"position": np.linalg.norm(at) * np.asarray(lights.towards[0])}
-            sections["light"] = [first | where | {"irradiance": s.irradiance}, *others]
-        for section in ("maps", "environment"):
-            if "file" in sections.get(section, {}):
-                path = self.file.folder / sections[section]["file"]
-                sections[section]["file"] = str(path.resolve())
-        return f"# An eye as it is set in `irisjax view`.\n{toml_of(plain(sections, 9))}"
+            preset, named["maps"] = s.preset, {"seed": s.seed}
+        if s.environment != GIVEN:
+            named["environment"] = {"kind": s.environment}
+        if scene.environment is None:
+            del named["environment"]
+        else:
+            strength = named["environment"].get("strength", 1.0)
+            named["environment"]["strength"] = s.strength * strength
+        for entries in named.values():
+            if "file" in entries:
+                entries["file"] = str((self.file.folder / entries["file"]).resolve())
+        named |= {"iris": {"preset": preset}, "picture": {"exposure": s.exposure}}
+        if scene.environment is not None and self._base.lights is None and s.irradiance == 0:
+            scene = scene.replace(lights=None)
+        return scene_text(scene, named, "An eye as it is set in `irisjax view`.")
 
     def _look(self, s: Settings):
         """What the pigments of a preset depend on."""

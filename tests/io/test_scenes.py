@@ -6,12 +6,13 @@ import re
 import tomllib
 from pathlib import Path
 
+import equinox as eqx
 import numpy as np
 import pytest
 
 from irisjax import io
 from irisjax.io import scenes
-from irisjax.io.scenes import SECTIONS, parse_scene, read_scene
+from irisjax.io.scenes import SECTIONS, parse_scene, read_scene, scene_text
 from irisjax.io.sections import checked
 from irisjax.render.environment import Environment
 from irisjax.render.picture import draw
@@ -86,6 +87,59 @@ def test_the_file_that_explains_everything_names_every_entry():
             checked(value, SECTIONS[section][key])
             found.setdefault(section, set()).add(key)
     assert found == {name: set(checks) for name, checks in SECTIONS.items()}
+
+
+FULL = """
+[iris]
+preset = "hazel"
+pheomelanin_abl_fraction = 0.3
+stroma_index = 1.38
+absorption = "f09"
+[maps]
+seed = 7
+[eye]
+cornea = "f09"
+veins = 1.7
+limbal_ring = 0.3
+limbal_ring_fade = 0.4
+pupil_centre = [-0.2, 0.1]
+attenuation = 1e-4
+[camera]
+polar_deg = 12.5
+size = [12, 8]
+images = 0.25
+[[light]]
+position = [60, 80, -300]
+colour = [1.0, 0.8, 0.6]
+[[light]]
+azimuth_deg = -100
+radius_deg = 3
+[environment]
+kind = "uniform"
+strength = 0.3
+lights = 6
+[picture]
+integrator = "single-scattering"
+illuminant = "A"
+"""
+ALONE = BARE + '[environment]\nkind = "sky"\nlights = 3\n'
+
+
+@pytest.mark.usefixtures("small")
+@pytest.mark.parametrize(
+    ("text", "given"),
+    [
+        (FULL, {"iris": {"preset": "hazel"}, "maps": {"seed": 7}}),
+        (BARE, {}),
+        (ALONE, {"environment": {"kind": "sky"}}),
+    ],
+)
+def test_a_scene_as_a_file_is_read_back(text, given):
+    scene = parse_scene(text).scene()
+    if "environment" not in given and scene.environment is not None:
+        scene = scene.replace(environment=Environment.uniform(0.3, rows=512))
+    again = parse_scene(scene_text(scene, given, "written")).scene()
+    assert eqx.tree_equal(scene, again, rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.usefixtures("small")
