@@ -89,9 +89,6 @@ from .transport.process import Ilit as Ilit
 from .transport.process import RadiativeTransfer as RadiativeTransfer
 from .transport.radiative.adding import AddingDoubling as AddingDoubling
 from .transport.radiative.exact import RadiativeExact as RadiativeExact
-from .transport.radiative.polarised.montecarlo import (
-    PolarisedMonteCarlo as PolarisedMonteCarlo,
-)
 from .transport.radiative.tabulated import RadiativeTabulated as RadiativeTabulated
 from .transport.solution import RESULTS as RESULTS
 from .transport.solution import Polarisation as Polarisation

@@ -15,7 +15,6 @@ from irisjax.transport import process as processes
 from irisjax.transport.defaults import exact_solver
 from irisjax.transport.montecarlo import MonteCarlo
 from irisjax.transport.process import PROCESSES, AbstractProcess
-from irisjax.transport.radiative.polarised.montecarlo import PolarisedMonteCarlo
 from irisjax.transport.solver import AbstractSolver
 
 # As written in the class: making an iris would start JAX before the precision is chosen.
@@ -187,5 +186,5 @@ def solver_of(
     if options.solver == "exact":
         return exact_solver(process, iris, exits=exits)
     if process.polarised:
-        return PolarisedMonteCarlo(options.photons)
+        raise ValueError("--solver monte-carlo follows unpolarised light: give --solver exact")
     return MonteCarlo(options.photons, process=process)

@@ -89,29 +89,14 @@ class PolarisedInstrument(AbstractInstrument):
         turned = angle if self.cos_exit is None else angle - self.azimuth
         return 0.5 * polarised_at(turned)
 
-    def matrix(
-        self, solution: Solution
-    ) -> tuple[Float[Array, "n 4 4"], Float[Array, "n 16 16"] | None]:
-        """Mueller matrix of reflectance factors (n wavelengths), and its covariance or `None`."""
+    def matrix(self, solution: Solution) -> Float[Array, "n 4 4"]:
+        """Mueller matrix of reflectance factors at n wavelengths."""
         found = solution.polarisation
         assert isinstance(found, Polarisation)
         if self.cos_exit is None:
-            whole = found.reflected + found.mirrored if self.first_surface else found.reflected
-            return whole, found.reflected_covariance
+            return found.reflected + found.mirrored if self.first_surface else found.reflected
         assert found.brdf is not None
-        covariance = found.brdf_covariance
-        covariance = None if covariance is None else jnp.pi**2 * covariance[:, 0]
-        return jnp.pi * found.brdf[:, 0], covariance
-
-    def error(
-        self, solution: Solution, gradient: Float[Array, "n 4 4"]
-    ) -> Float[Array, " n"] | None:
-        """Standard error that follows from `gradient` by the numbers of `matrix`."""
-        covariance = self.matrix(solution)[1]
-        if covariance is None:
-            return None
-        gradient = gradient.reshape(-1, 16)
-        return safe_sqrt(jnp.einsum("wi,wij,wj->w", gradient, covariance, gradient))
+        return jnp.pi * found.brdf[:, 0]
 
 
 class Analyser(PolarisedInstrument):
@@ -146,13 +131,10 @@ class Analyser(PolarisedInstrument):
         assert self.polariser is not None
         crossed = self.setting == "crossed"
         passed = self.filtered(self.polariser + (jnp.pi / 2 if crossed else 0.0))
-        weights = factor * self.gain * passed[:, None] * self.light()[None]
-        matrix, _ = self.matrix(solution)
-        weights = jnp.broadcast_to(weights[None], matrix.shape)
-        values, error = (weights * matrix).sum((-2, -1)), self.error(solution, weights)
+        values = factor * self.gain * (self.matrix(solution) @ self.light() @ passed)
         name = f"{'cross' if crossed else 'co'}-polarised reflectance"
         name = name if self.cos_exit is None else f"{name} factor"
-        return self.result(solution, factor, values, error, quantity=name, unit="")
+        return self.result(solution, factor, values, None, quantity=name, unit="")
 
 
 class PolarisedReading(Reading):
@@ -178,18 +160,12 @@ class Polarimeter(PolarisedInstrument):
         super().__init__(wavelengths, **settings)
 
     def reading(self, solution: Solution, factor: Scalar) -> PolarisedReading:
-        matrix = self.matrix(solution)[0]
         turn = rotation(jnp.zeros_like(self.azimuth) if self.cos_exit is None else -self.azimuth)
-        sent = matrix @ self.light()
-        stokes = sent @ turn.T
+        stokes = self.matrix(solution) @ self.light() @ turn.T
         intensity = jnp.where(stokes[:, 0] <= 0, 1.0, stokes[:, 0])
         linear = safe_sqrt(stokes[:, 1] ** 2 + stokes[:, 2] ** 2)
-        degree = linear / intensity
-        along = stokes[:, 1:3] / jnp.where(linear <= 0, 1.0, linear)[:, None]
-        by_stokes = jnp.concatenate([-degree[:, None], along, 0 * degree[:, None]], -1)
-        gradient = (by_stokes @ turn / intensity[:, None])[:, :, None] * self.light()
         return self.result(
-            solution, factor, degree, self.error(solution, gradient), PolarisedReading,
+            solution, factor, linear / intensity, None, PolarisedReading,
             quantity="degree of linear polarisation", unit="",
             angle=0.5 * arctan2(stokes[:, 2], stokes[:, 1]), stokes=factor * self.gain * stokes,
         )  # fmt: skip

@@ -29,7 +29,7 @@ from irisjax.transport.process import (
     RadiativeTransfer,
 )
 from irisjax.transport.radiative.analog import radiative_event
-from irisjax.transport.solution import Solution, binomial_error, counted, outcome
+from irisjax.transport.solution import Absorbed, Solution, outcome
 from irisjax.transport.solver import AbstractSolver, check_rayleigh
 
 _LIMIT = 2**31 - 2**20  # counts are int32; lanes look a stride ahead
@@ -77,10 +77,7 @@ class MonteCarlo(AbstractSolver):
             said = f"MonteCarlo has no events of {self.process!r}"
             raise ValueError(f"{said}; known: Ilit, RadiativeTransfer")
         if self.process.polarised:
-            raise ValueError(
-                "MonteCarlo does not treat polarised light; use RadiativeExact, or "
-                "PolarisedMonteCarlo to sample"
-            )
+            raise ValueError("MonteCarlo does not treat polarised light; use RadiativeExact")
 
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         return self.summarise(self.count(layers, light, key=key), layers, light.exits)
@@ -102,10 +99,7 @@ class MonteCarlo(AbstractSolver):
         if isinstance(self.process, Ilit):
             check_rayleigh(self, layers)
         elif light.exits is not None:
-            raise ValueError(
-                "MonteCarlo has no BRDF of radiative transfer; "
-                "use RadiativeExact, or PolarisedMonteCarlo to sample"
-            )
+            raise ValueError("MonteCarlo has no BRDF of radiative transfer; use RadiativeExact")
         layers, light = _constant((layers, light))
         cells = None if light.exits is None else _cells(light.exits)
         power = jnp.ones_like(layers.extinction) if light.power is None else light.power
@@ -126,14 +120,27 @@ class MonteCarlo(AbstractSolver):
     ) -> Solution:
         """Compute shares and standard errors from counts."""
         dtype = layers.extinction.dtype
-        n, fates = counts.photons.astype(dtype), counts.fates.astype(dtype)
+        n, fates = counts.photons.astype(dtype)[:, None], counts.fates.astype(dtype)
         brdf = brdf_error = None
         if counts.exits is not None and exits is not None:
             cells, seen = _cells(exits).astype(dtype), counts.exits.astype(dtype)
-            scale = jnp.pi * (cells[:, 1] ** 2 - cells[:, 0] ** 2)
-            brdf = seen / n[:, None] / scale[None]
-            brdf_error = binomial_error(seen, n[:, None]) / scale[None]
-        return counted(fates, n, outcome(layers.valid()), brdf, brdf_error=brdf_error)
+            scale = jnp.pi * (cells[:, 1] ** 2 - cells[:, 0] ** 2)[None]
+            brdf, brdf_error = seen / n / scale, _binomial_error(seen, n) / scale
+        mirrored, reflected, abl, stroma, ipe, *behind = (fates / n).T
+        errors = _binomial_error(fates, n)
+        returned = fates[:, :2].sum(1, keepdims=True)
+        return Solution(
+            reflected,
+            mirrored,
+            Absorbed(abl, stroma, ipe),
+            outcome(layers.valid()),
+            standard_error=errors[:, 1],
+            total_error=_binomial_error(returned, n)[:, 0],
+            brdf=brdf,
+            brdf_error=brdf_error,
+            transmitted=behind[0] if behind else None,
+            transmitted_error=errors[:, 5] if behind else None,
+        )
 
 
 @eqx.filter_custom_jvp
@@ -147,6 +154,12 @@ def _constant_jvp(primals, tangents):
         "MonteCarlo has no derivatives: counts of photons do not change smoothly. "
         "Use an exact solver"
     )
+
+
+def _binomial_error(count: Array, n: Array) -> Array:
+    """Standard error of a share of `n` photons; by Laplace's rule, so that a count of 0 has one."""
+    p = (count + 1) / (n + 2)
+    return jnp.sqrt(p * (1 - p) / n)
 
 
 def _cells(exits: Directions):

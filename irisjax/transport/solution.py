@@ -64,15 +64,11 @@ class Polarisation(eqx.Module):
         row times light's Stokes vector is how much of that light comes back.
     - `mirrored`: the same of light mirrored by the first surface.
     - `brdf`: 1/sr, at the exits asked for, shape (wavelengths, exits, 4, 4), or `None`.
-    - `reflected_covariance`, `brdf_covariance`: where they are sampled, of their 16 numbers, shapes
-        (wavelengths, 16, 16) and (wavelengths, exits, 16, 16).
     """
 
     reflected: Float[Array, "wavelengths 4 4"]
     mirrored: Float[Array, "wavelengths 4 4"]
     brdf: Float[Array, "wavelengths exits 4 4"] | None
-    reflected_covariance: Float[Array, "wavelengths 16 16"] | None = None
-    brdf_covariance: Float[Array, "wavelengths exits 16 16"] | None = None
 
 
 class Solution(eqx.Module):
@@ -142,33 +138,6 @@ def outcome(valid: Bool[Array, ""], *checks: tuple[Bool[Array, ""], RESULTS]) ->
     for passed, failure in reversed(checks):
         status = RESULTS.where(passed, status, failure)
     return RESULTS.where(valid, status, RESULTS.invalid_input)
-
-
-def counted(
-    fates: Array, photons: Array | int, status: RESULTS, brdf: Array | None = None, **more: Any
-) -> Solution:
-    """The `Solution` of photons (wavelengths, fates) by fate, in the order of `lanes.FATES`, of so
-    many `photons` sent, a number or one a wavelength.
-    """
-    mirrored, reflected, *_ = fates.T
-    shares = (fates / jnp.asarray(photons, fates.dtype).reshape(-1, 1)).T
-    kept, behind = shares[4], None
-    if len(shares) == 6:
-        behind = shares[5]
-        kept = kept + behind
-        more["transmitted_error"] = binomial_error(fates[:, 5], photons)
-    return Flux(shares[1], shares[0], shares[2], shares[3], kept, brdf, behind).solution(
-        status,
-        standard_error=binomial_error(reflected, photons),
-        total_error=binomial_error(mirrored + reflected, photons),
-        **more,
-    )
-
-
-def binomial_error(count: Array, n: Array | int) -> Array:
-    """Standard error of a share of `n` photons; by Laplace's rule, so that a count of 0 has one."""
-    p = (count + 1) / (n + 2)
-    return jnp.sqrt(p * (1 - p) / n)
 
 
 def worst(status: RESULTS) -> RESULTS:

@@ -79,6 +79,7 @@ def test_a_file_says_what_scalar_theory_leaves_out(irisjax, monkeypatch, printed
         (("--process", "ilit-2006", "--polarised"), "only with --process depth-resolved"),
         (("--process", "ilit-2006", "--instrument", "co-polarised"), "needs --process depth"),
         (("--scalar", "--process", "depth-resolved", "--instrument", "cross-polarised"), "needs"),
+        (("--polarised", "--solver", "monte-carlo"), "monte-carlo follows unpolarised light"),
         (("--exit-deg", "30"), "means something only with --instrument cross-polarised"),
         (("--instrument", "cross-polarised", "--exit-deg", "95"), "outside [0, 90]"),
         (("--instrument", "cross-polarised", "--cornea", "inward"), "bare iris"),

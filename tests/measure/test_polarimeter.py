@@ -2,7 +2,6 @@
 
 from functools import partial
 
-import jax
 import numpy as np
 import pytest
 
@@ -79,26 +78,6 @@ def test_far_from_the_normal_light_is_polarised_across_the_plane(far):
     assert (np.asarray(seen.values) > 0.3).all()
     np.testing.assert_allclose(np.abs(seen.angle), np.pi / 2, atol=1e-6)
     assert seen.stokes.shape == (2, 4)
-
-
-@pytest.mark.slow  # two minutes of compiling
-def test_errors_of_sampled_values():
-    """Standard errors follow from the matrices' covariance: z of both analysers, and of a degree.
-
-    Of an iris that scatters eight times as much: errors of two or three photons are no errors.
-    """
-    bright = IRIS.replace(scattering_scale=8.0)
-    instruments = [
-        *(ij.Analyser(GRID, s, cos_exit="hemisphere") for s in ("crossed", "parallel")),
-        ij.Polarimeter(GRID, cos_exit=0.7),
-    ]
-    for instrument in instruments:
-        photons = ij.PolarisedMonteCarlo(65_536, 0.1)
-        sampled = ij.observe(bright, instrument, photons, key=jax.random.key(2))
-        exact = ij.observe(bright, instrument, ij.RadiativeExact(24, 8, process=ij.POLARISED))
-        z = (sampled.values - exact.values) / sampled.standard_error
-        assert np.abs(z).max() < 4
-        assert (np.asarray(sampled.standard_error) < exact.values).all()
 
 
 def test_refusals():

@@ -183,9 +183,7 @@ def test_a_brdf_whose_moments_are_missing_says_so():
     assert bool(status == ij.RESULTS.successful)
 
 
-@pytest.mark.parametrize(
-    "solver", [None, ij.RadiativeExact(), ij.MonteCarlo(1000), ij.PolarisedMonteCarlo(1000)]
-)
+@pytest.mark.parametrize("solver", [None, ij.RadiativeExact(), ij.MonteCarlo(1000)])
 def test_solvers_of_rayleighs_law_refuse(solver):
     iris = ij.Iris(power_law=ij.PowerLaw())
     with pytest.raises(ValueError, match="a power law of scattering takes radiative transfer"):

@@ -5,6 +5,7 @@ import functools
 import jax
 import numpy as np
 import pytest
+from polarised_photons import sampled
 
 import common
 import irisjax as ij
@@ -22,17 +23,6 @@ MEDIA = {
 
 
 @functools.cache
-def sampling(n, aperture=APERTURE):
-    """Photons in layers of any order of media: one program."""
-    solver = ij.PolarisedMonteCarlo(n, aperture)
-    return jax.jit(
-        lambda made, cosine, exits, azimuth, seed: solver.solve(
-            made, ij.Light(cosine, ij.Directions(exits, azimuth)), key=jax.random.key(seed)
-        )
-    )
-
-
-@functools.cache
 def deterministic(media, cosine):
     return common.solve(EXACT, any_order(layers(0.05, 0.05, 1.0, media)), cosine, EXITS, AZIMUTH)
 
@@ -41,18 +31,14 @@ def _scores(media, cosine, n, seed=3):
     """Differences over their standard errors: shares of light, matrices of all and of exits."""
     made = any_order(layers(0.05, 0.05, 1.0, media))
     exact = deterministic(media, cosine)
-    found = sampling(n)(made, cosine, EXITS, AZIMUTH, seed)
-    assert float(found.energy[0]) == pytest.approx(1, abs=1e-12)
-    pairs = [(found.reflectance, exact.reflectance, found.standard_error)]
-    for name in ("abl", "stroma", "ipe"):
-        p, q = (float(getattr(x.absorbed, name)[0]) for x in (found, exact))
-        pairs.append((p, q, np.sqrt(q * (1 - q) / n)))
-    light, wanted = found.polarisation, exact.polarisation
-    for name, covariance in (
-        ("reflected", light.reflected_covariance[0]),
-        ("brdf", light.brdf_covariance[0]),
-    ):
-        a, b = (np.asarray(getattr(x, name))[0] for x in (light, wanted))
+    light = sampled(made, cosine, EXITS, AZIMUTH, jax.random.key(seed), n=n, aperture=APERTURE)
+    assert float(light.fates.sum()) == pytest.approx(1, abs=1e-12)
+    lost = exact.absorbed
+    fates = exact.mirrored, exact.reflectance, lost.abl, lost.stroma, lost.ipe
+    pairs = [(p, q, np.sqrt(q * (1 - q) / n)) for p, q in zip(light.fates, fates, strict=True)]
+    for name in ("reflected", "brdf"):
+        covariance = getattr(light, f"{name}_covariance")
+        a, b = getattr(light, name), np.asarray(getattr(exact.polarisation, name))[0]
         # By what polarisers and analysers see; of few photons a cone's intensity only is normal.
         of_i = np.array([1.0, 0, 0, 0])
         filters = [of_i + sign * np.eye(4)[k] for k in (1, 2, 3) for sign in (1, -1)]
@@ -95,34 +81,16 @@ def test_against_the_deterministic_solver_with_many_photons(media, cosine):
     assert np.sqrt((scores**2).mean()) < 1.25
 
 
-def test_equal_keys_give_equal_bytes():
-    made, solver = layers(0.05, 0.05, 1.0, MEDIA["iris"]), ij.PolarisedMonteCarlo(2048)
-    run = jax.jit(lambda seed: solver.solve(made, ij.Light(0.7), key=jax.random.key(seed)))
-    one, two, other = (run(seed) for seed in (5, 5, 6))
-    assert one.reflectance.tobytes() == two.reflectance.tobytes() != other.reflectance.tobytes()
-    assert one.polarisation is None
-
-
-def test_refusals():
-    made = layers(0.05, 0.05, 1.0, MEDIA["iris"])
-    solver, key = ij.PolarisedMonteCarlo(10), jax.random.key(0)
-    with pytest.raises(ValueError, match="needs a key"):
-        solver.solve(made, ij.Light(1.0))
-    with pytest.raises(ValueError, match="reaches below the surface"):
-        solver.solve(made, ij.Light(1.0, ij.Directions(0.05)), key=key)
-    with pytest.raises(ValueError, match="aperture = 2"):
-        ij.PolarisedMonteCarlo(10, 2.0)
-
-
 def test_total_reflection_turns_both_ways_alike():
     """Light that a stroma in a thinner medium traps becomes elliptical, of the same hand by the
     deterministic solver as by photons, whose amplitudes are worked out otherwise.
     """
     made, mu, azimuth, aperture = layers(0.0, 0.1, 0.2, (1.3, 1.6, 1.6, 1.0)), 0.5, 1.0, 0.3
     exits = np.array([mu, mu]), np.array([azimuth, -azimuth])  # V has the other sign there
-    found = sampling(16_384, aperture)(any_order(made), 0.85, *exits, 0).polarisation
-    v = np.asarray(found.brdf)[0, :, 3, 1] @ [0.5, -0.5]
-    error = 0.5 * np.sqrt(np.asarray(found.brdf_covariance)[0, :, 13, 13].sum())
+    key = jax.random.key(0)
+    found = sampled(any_order(made), 0.85, *exits, key, n=16_384, aperture=aperture)
+    v = np.asarray(found.brdf)[:, 3, 1] @ [0.5, -0.5]
+    error = 0.5 * np.sqrt(np.asarray(found.brdf_covariance)[:, 13, 13].sum())
     # A cone's mean is about that over the ring which halves its solid angle.
     turn, sine = np.arange(6) * np.pi / 3, np.sqrt(1 - mu**2)
     along, across = np.cos(aperture / np.sqrt(2)), np.sin(aperture / np.sqrt(2))

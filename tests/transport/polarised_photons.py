@@ -1,23 +1,81 @@
-"""One polarised photon, as the field of two waves in space, from the surface to where it ends.
+"""A peer of the polarised solver: photons that are followed as fields of two waves in space.
 
 A path through mirrors and small scatterers turns each field into one field: no Stokes vector is
 turned from frame to frame here, and nothing is taken from the deterministic solver. A small
 scatterer radiates as a dipole, the field less its part along the new direction; interfaces have
 Fresnel's complex amplitudes. The two waves are those of unpolarised light, polarised in the plane
-of incidence and across it.
+of incidence and across it; their Mueller matrices are kept, so one run serves every polariser.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
-from irisjax._types import PRNGKey
-from irisjax.tissue.indices import RefractiveIndices
-from irisjax.transport.lanes import ABL, IPE, MIRRORED, REFLECTED, STROMA
-
+_BATCH = 4096  # photons under way at once; results depend on it by rounding
 _OUTSIDE, _IN_ABL, _IN_STROMA = 0, 1, 2
+MIRRORED, REFLECTED, ABL, STROMA, IPE = range(1, 6)
+
+
+class Sampled(NamedTuple):
+    """Shares of the light by fate (5,), in the order of the codes above; Mueller matrices of all
+    that is reflected (4, 4) and of the BRDF as the mean over the cone about each exit (exits, 4,
+    4), with the covariances of their 16 numbers.
+    """
+
+    fates: jax.Array
+    reflected: jax.Array
+    reflected_covariance: jax.Array
+    brdf: jax.Array
+    brdf_covariance: jax.Array
+
+
+@partial(jax.jit, static_argnames=("n", "aperture"))
+def sampled(made, cosine, cos_exit, azimuth, key, *, n: int, aperture: float) -> Sampled:
+    """Follow `n` photons through layers of one wavelength, from this cosine in the aqueous humour;
+    `aperture` is the half-angle of the cones, radians.
+    """
+    depths = made.abl_absorption, made.extinction, made.albedo
+    medium = PhotonLayers(*(x[0] for x in depths), made.indices)
+    sine = jnp.sqrt(1 - cos_exit * cos_exit)
+    exits = jnp.stack([sine * jnp.cos(azimuth), sine * jnp.sin(azimuth), cos_exit], -1)
+
+    def batch(first):
+        index = first * _BATCH + jnp.arange(_BATCH, dtype=jnp.int32)
+        p = jax.vmap(lambda i: follow(jax.random.fold_in(key, i), medium, cosine))(index)
+        alive = index < n
+        fates = ((p.fate[:, None] == jnp.arange(1, 6)[None]) & alive[:, None]).sum(0)
+        out = alive & (p.fate == REFLECTED)
+        whole = jax.vmap(lambda f, ray: mueller(seen_through_lens(jones(f, ray), ray)))
+
+        def cone(exit):
+            x = jax.vmap(lambda f: mueller(jones(f, exit)))(p.field)
+            return _sums(x, out & p.scattered & (p.ray @ exit >= np.cos(aperture)))
+
+        return fates, _sums(whole(p.field, p.ray), out), lax.map(cone, exits)
+
+    tallies = lax.map(batch, jnp.arange(-(-n // _BATCH), dtype=jnp.int32))
+    fates, whole, cones = jax.tree.map(lambda x: x.sum(0), tallies)
+    (reflected, of_whole), (brdf, of_cones) = (_estimate(x, n) for x in (whole, cones))
+    power = jnp.pi * np.sin(aperture) ** 2 * cos_exit
+    brdf, of_cones = brdf / power[:, None], of_cones / (power * power)[:, None, None]
+    return Sampled(fates / n, reflected.reshape(4, 4), of_whole, brdf.reshape(-1, 4, 4), of_cones)
+
+
+def _sums(x, counted):
+    x = jnp.where(counted[:, None], x, 0.0)
+    return x.sum(0), x.T @ x
+
+
+def _estimate(sums, n: int):
+    """Mean, and covariance of the mean."""
+    total, products = sums
+    mean = total / n
+    spread = products / n - mean[..., :, None] * mean[..., None, :]
+    return mean, spread / n
 
 
 class PhotonLayers(NamedTuple):
@@ -26,7 +84,7 @@ class PhotonLayers(NamedTuple):
     abl: jax.Array
     stroma: jax.Array
     albedo: jax.Array
-    indices: RefractiveIndices
+    indices: object
 
 
 class PolarisedPhoton(NamedTuple):
@@ -44,7 +102,7 @@ class PolarisedPhoton(NamedTuple):
     events: jax.Array
 
 
-def follow(key: PRNGKey, medium: PhotonLayers, cosine: jax.Array) -> PolarisedPhoton:
+def follow(key: jax.Array, medium: PhotonLayers, cosine: jax.Array) -> PolarisedPhoton:
     """A photon of a key to its end, from cosine `cosine` in the aqueous humour (azimuth 0 is where
     it goes).
     """
