@@ -101,7 +101,7 @@ def frames(key, size, repeats):
             def thicker(i):
                 thick = scene.maps.stroma_depth * (1 + 1e-3 * i)
                 changed = scene.replace(maps=scene.maps.replace(stroma_depth=thick))
-                mapped = Texels(iris_texels(view, changed), texels.white, texels.room)
+                mapped = Texels(*iris_texels(view, changed), texels.white, texels.room)
                 return shade(view, mapped, light, respond(changed))
 
             def uniformly_thicker(i):

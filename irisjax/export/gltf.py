@@ -196,8 +196,10 @@ def _iris_seen(
     one = jnp.ones_like(x)
     pixels = IrisPixels(None, (x, y, eye.iris_depth * one), (0 * x, 0 * x, one), one, one)
     found = textures_at(pixels, eye, jnp.moveaxis(textures, -1, 0))
-    (u, v, w), sky = tilted(pixels, eye.replace(iris_slope=None), relief_of(relief, eye))
-    every = found, jnp.stack([u, v, -w]), shares(pixels, eye)[None], (sky * one)[None]
+    (u, v, w), sky = (0 * x, 0 * x, -one), one
+    if relief is not None:
+        (u, v, w), sky = tilted(pixels, eye.replace(iris_slope=None), relief_of(relief, eye))
+    every = found, jnp.stack([u, v, -w]), shares(pixels, eye)[None], sky[None]
     found, normal, share, sky = (_rows(values, side) for values in every)
     return found, normal, share, sky
 

@@ -28,7 +28,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Front, flux_at, fluxes_of
+from irisjax.render.shading import Facing, Front, flux_at, fluxes_of
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import Scales
 
@@ -55,9 +55,15 @@ class Painted(AbstractIntegrator):
     process: None = None
 
     def illuminate(
-        self, pixels: IrisPixels, lights: Lights, front: Front, tables: Illumination | None
+        self,
+        pixels: IrisPixels,
+        lights: Lights,
+        front: Front,
+        tables: Illumination | None,
+        facing: Facing | None,
     ) -> Float[Array, "3 pixels"]:
         """Radiance of each pixel in white light; see `AbstractIntegrator`."""
+        del facing
         return self.paint(self.base(pixels, lights, front.eye, tables))
 
     def base(

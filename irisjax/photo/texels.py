@@ -182,7 +182,7 @@ def colour_iris(
     assert seen is not None
     front = Front(scene.eye, iris, IrisMaps())
     _, exits = integrator.texels(seen, front, Scales())
-    shone = integrator.illuminate(seen, scene.all_lights(), front, tables)
+    shone = integrator.illuminate(seen, scene.all_lights(), front, tables, None)
     light, mixtures = shone
     light = light if exits is None else light * exits
     flat = np.moveaxis(np.asarray(light), -1, 0).reshape(light.shape[-1], -1)

@@ -261,11 +261,13 @@ def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integr
     one = response.coefficients[..., :1]
     share = jnp.maximum(jnp.zeros(COUNT).at[window].add(1.0, mode="drop"), 1.0)
 
+    facing = Front(eye, iris, maps).facing(seen)
+
     def placed(log_scale):
         thicker = maps.replace(stroma_depth=maps.stroma_depth * jnp.exp(log_scale))
         front = Front(eye, iris, thicker)
         texels = integrator.texels(seen, front, ranges)
-        light = integrator.illuminate(seen, lights, front, tables)
+        light = integrator.illuminate(seen, lights, front, tables, facing)
         return eqx.partition((texels, light), eqx.is_inexact_array)
 
     none = jnp.zeros((), one.dtype)

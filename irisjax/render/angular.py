@@ -16,7 +16,7 @@ from irisjax.optics.conicoid import dot, joined, norm
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.polynomials import along_nodes, polynomials
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import flux_at, hidden_by, shares, tilted
+from irisjax.render.shading import Facing, flux_at, hidden_by, normal_at, shares
 from irisjax.tissue.iris import Iris
 from irisjax.transport.light import Directions
 
@@ -153,19 +153,18 @@ each mixture, `None` where there are none.
 
 @pixelwise
 def light_of(
-    seen: IrisPixels,
+    turned: tuple[IrisPixels, Facing | None],
     flux: Float[Array, "lights 3 rows columns"],
     tint: Float[Array, "lights 3"] | None,
     eye: Eye,
-    relief: Float[Array, "3 angles radii"] | None,
     angles: AngularFunctions,
 ) -> Float[Array, "tints functions pixels"]:
     """Sum over the lights of irradiance times the functions of directions and the share that
     reaches the camera.
     """
+    seen, facing = turned
     flat = eye.iris_normal(joined(seen.point))
-    normal, sky = tilted(seen, eye, relief)
-    normal = joined(normal)
+    normal = joined(normal_at(seen, eye, facing))
     view = joined(seen.direction)
 
     def add(total, light):
@@ -176,8 +175,8 @@ def light_of(
         towards = arriving / jnp.where(power > 0, power, 1.0)[..., None]
         cosine = -dot(towards, flat)
         lit = (power > 0) & (cosine > 0)
-        if relief is not None:
-            irradiance *= jnp.maximum(1 - (1 - sky) * hidden_by(cosine, eye), 0.0)
+        if facing is not None:
+            irradiance *= jnp.maximum(1 - (1 - facing.sky) * hidden_by(cosine, eye), 0.0)
         # The line of sight runs into the eye: light comes out against it.
         across = -(dot(towards, view) - dot(towards, flat) * dot(view, flat))
         values = angles.functions(jnp.where(lit, cosine, 1.0), seen.cosine, across)

@@ -11,7 +11,7 @@ from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Front
+from irisjax.render.shading import Facing, Front
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import Scales
 from irisjax.transport.process import AbstractProcess
@@ -60,10 +60,15 @@ class AbstractIntegrator(eqx.Module):
 
     @abc.abstractmethod
     def illuminate(
-        self, pixels: IrisPixels, lights: Lights, front: Front, tables: Illumination | None
+        self,
+        pixels: IrisPixels,
+        lights: Lights,
+        front: Front,
+        tables: Illumination | None,
+        facing: Facing | None,
     ) -> Any:
         """Compute the light that the response needs at each pixel; nothing of it depends on
-        pigments. `tables` are `None` for a bare iris.
+        pigments. `tables` are `None` for a bare iris, `facing` is that of `Front`.
         """
 
     @abc.abstractmethod

@@ -23,7 +23,7 @@ from irisjax.render.integrator import AbstractResponse, checked_response
 from irisjax.render.outside import ColourTable, colour_table
 from irisjax.render.project import View, look, project
 from irisjax.render.scene import Scene
-from irisjax.render.shading import Front, ranges_of, textures_at
+from irisjax.render.shading import Facing, Front, ranges_of, textures_at
 from irisjax.tissue.maps import Scales
 
 # Bytes for the pixels of a band; the programs and tables beside them take three times that.
@@ -38,12 +38,14 @@ class Texels(eqx.Module):
 
     Attributes:
         iris: What the integrator needs, see `AbstractIntegrator.texels`.
+        facing: How the relief of the iris turns it towards light.
         white: Radiance of the sclera under an irradiance of one, (channels, pixels).
         room: Radiance of the environment that the tear film mirrors, (channels, pixels).
         residual: Factors on the radiance of the iris, (channels, pixels).
     """
 
     iris: Any
+    facing: Facing | None
     white: Float[Array, "channels white_pixels"] | None
     room: Float[Array, "channels mirror_pixels"] | None
     residual: Float[Array, "channels iris_pixels"] | None = None
@@ -110,17 +112,18 @@ def texture(view: View, scene: Scene) -> Texels:
         white = outside.white_colour(view.sclera, eye, table, scene.veins)
     if view.mirror is not None and scene.environment is not None:
         room = outside.room_at(view.mirror, scene.environment)
-    return Texels(iris_texels(view, scene), white, room, _residual(view, scene))
+    return Texels(*iris_texels(view, scene), white, room, _residual(view, scene))
 
 
-def iris_texels(view: View, scene: Scene) -> Any:
-    """Look up what the iris is made of where pixels see it; the part of `texture` that depends on
-    maps.
+def iris_texels(view: View, scene: Scene) -> tuple[Any, Facing | None]:
+    """Look up what the iris is made of where pixels see it, and how it faces the light there: the
+    part of `texture` that depends on maps.
     """
     if view.iris is None:
-        return None
+        return None, None
     front = Front(scene.eye, scene.iris, scene.maps)
-    return scene.integrator.texels(view.iris, front, ranges_of(scene.iris, scene.maps))
+    texels = scene.integrator.texels(view.iris, front, ranges_of(scene.iris, scene.maps))
+    return texels, front.facing(view.iris)
 
 
 def illuminate(
@@ -138,7 +141,8 @@ def illuminate(
     light = None
     if view.iris is not None:
         front = Front(scene.eye, scene.iris, scene.maps)
-        light = scene.integrator.illuminate(view.iris, scene.all_lights(), front, tables)
+        lit = view.iris, scene.all_lights(), front, tables, texels.facing
+        light = scene.integrator.illuminate(*lit)
     return LitView(surroundings(view, texels, scene), light)
 
 

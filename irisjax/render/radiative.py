@@ -16,7 +16,7 @@ from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Front, fluxes_of
+from irisjax.render.shading import Facing, Front, fluxes_of
 from irisjax.render.tabulated import AbstractTabulated
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
@@ -77,7 +77,12 @@ class RadiativeIntegrator(AbstractTabulated):
         return dataclasses.replace(self, solver=solver)
 
     def illuminate(
-        self, pixels: IrisPixels, lights: Lights, front: Front, tables: Illumination | None
+        self,
+        pixels: IrisPixels,
+        lights: Lights,
+        front: Front,
+        tables: Illumination | None,
+        facing: Facing | None,
     ) -> AngularLight:
         """Sum the lights in the functions of directions. The directions of one scene need a few
         mixtures of these functions; all of them are kept where something is traced, for
@@ -85,7 +90,7 @@ class RadiativeIntegrator(AbstractTabulated):
         """
         angles = self.directions(front.iris, front.eye.aqueous_index)
         flux = fluxes_of(lights, front.eye, tables)
-        light = light_of(pixels, flux, lights.tint, front.eye, front.relief(), angles)
+        light = light_of((pixels, facing), flux, lights.tint, front.eye, angles)
         return (light, None) if isinstance(light, Tracer) else mixed(light, angles)
 
 

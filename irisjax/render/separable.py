@@ -15,7 +15,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.polynomials import along_nodes
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Front, field_of, irradiance_at
+from irisjax.render.shading import Facing, Front, field_of, irradiance_at
 from irisjax.render.tabulated import AbstractTabulated
 from irisjax.tissue.iris import Iris
 from irisjax.transport.ilit.exact import IlitExact
@@ -52,11 +52,15 @@ class Separable(AbstractTabulated):
         )
 
     def illuminate(
-        self, pixels: IrisPixels, lights: Lights, front: Front, tables: Illumination | None
+        self,
+        pixels: IrisPixels,
+        lights: Lights,
+        front: Front,
+        tables: Illumination | None,
+        facing: Facing | None,
     ) -> angular.AngularLight:
-        relief = front.relief()
-        field = field_of(lights, front.eye, front.iris, tables, relief=relief is not None)
-        return irradiance_at(pixels, field, front.eye, relief), None
+        field = field_of(lights, front.eye, front.iris, tables, relief=facing is not None)
+        return irradiance_at((pixels, facing), field, front.eye), None
 
 
 class ExitFunctions(angular.AbstractAngular):

@@ -25,6 +25,18 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 
 
+class Facing(NamedTuple):
+    """How a relief turns the iris towards light, at pixels.
+
+    Attributes:
+        normal: Components of the unit normal towards the cornea.
+        sky: Share of a uniform sky that the relief lets through, see `sky_of`.
+    """
+
+    normal: Parts
+    sky: Float[Array, " pixels"]
+
+
 class Front(NamedTuple):
     """The iris that pixels see: its eye, its tissue (`None` if it is painted) and its maps."""
 
@@ -32,9 +44,11 @@ class Front(NamedTuple):
     iris: Any
     maps: IrisMaps | None
 
-    def relief(self) -> Float[Array, "3 angles radii"] | None:
-        """`relief_of` its relief."""
-        return relief_of(None if self.maps is None else self.maps.relief, self.eye)
+    def facing(self, pixels: IrisPixels) -> Facing | None:
+        """Compute how its relief turns it at pixels; `None` without one. No light matters."""
+        if self.maps is None or self.maps.relief is None:
+            return None
+        return tilted(pixels, self.eye, relief_of(self.maps.relief, self.eye))
 
 
 def flux_at(
@@ -60,7 +74,7 @@ def field_of(
 ) -> Float[Array, "tints vectors rows columns"]:
     """Sum the flux vectors of the lights on a grid over the iris, with the share 1 − F that enters
     the tissue; one tint where no light has a colour of its own. `tables`: `None` for a bare iris.
-    For a `relief` the sum weighted by `hidden_by` follows.
+    For a `relief` the mean of `hidden_by` over their irradiance on the flat iris follows.
     """
     place = _grid(eye, size)
     normal = eye.iris_normal(place)
@@ -73,13 +87,20 @@ def field_of(
         entered = fresnel_at(jnp.maximum(cosine, 0.0), n.aqueous, n.abl)[1]
         flux = flux * jnp.where(cosine > 0, entered, 0.0)[..., None]
         if relief:
-            flux = jnp.concatenate([flux, flux * hidden_by(cosine, eye)[..., None]], -1)
+            across = -dot(flux, normal)
+            both = jnp.stack([across, across * hidden_by(cosine, eye)], -1)
+            flux = jnp.concatenate([flux, both], -1)
         tint = jnp.ones(1, flux.dtype) if lights.tint is None else lights.tint[i]
         return total + jnp.moveaxis(flux, -1, 0) * tint[:, None, None, None], None
 
     tints = 1 if lights.tint is None else 3
-    zero = jnp.zeros((tints, 6 if relief else 3, size, size), lights.irradiance.dtype)
-    return jax.lax.scan(add, zero, jnp.arange(len(lights)))[0]
+    zero = jnp.zeros((tints, 5 if relief else 3, size, size), lights.irradiance.dtype)
+    total = jax.lax.scan(add, zero, jnp.arange(len(lights)))[0]
+    if not relief:
+        return total
+    across, hidden = total[:, 3:4], total[:, 4:]
+    lit = across > 0
+    return total[:, :4].at[:, 3:].set(jnp.where(lit, hidden / jnp.where(lit, across, 1.0), 0.0))
 
 
 @eqx.filter_jit
@@ -152,18 +173,19 @@ def _place_of(pixels: IrisPixels, eye: Eye) -> Place:
 
 @pixelwise
 def irradiance_at(
-    pixels: IrisPixels,
+    turned: tuple[IrisPixels, Facing | None],
     field: Float[Array, "tints vectors rows columns"],
     eye: Eye,
-    relief: Float[Array, "3 angles radii"] | None,
 ) -> Float[Array, "tints 1 pixels"]:
     """Irradiance on the iris at pixels times all shares on the way out to the camera."""
-    normal, sky = tilted(pixels, eye, relief)
+    pixels, facing = turned
     flux = flux_at(field, eye.iris_radius, pixels.point)
-    if relief is not None:
-        flux = flux[:, :3] - (1 - sky) * flux[:, 3:]
-    towards = [-sum(f * n for f, n in zip(tint, normal, strict=True)) for tint in flux]
-    return (jnp.maximum(jnp.stack(towards), 0.0) * shares(pixels, eye))[:, None]
+    normal = normal_at(pixels, eye, facing)
+    towards = [-sum(f * n for f, n in zip(tint, normal, strict=False)) for tint in flux]
+    found = jnp.maximum(jnp.stack(towards), 0.0)
+    if facing is not None:
+        found = found * jnp.maximum(1 - (1 - facing.sky) * flux[:, 3], 0.0)
+    return (found * shares(pixels, eye))[:, None]
 
 
 def hidden_by(cosine: Float[Array, "..."], eye: Eye) -> Float[Array, "..."]:
@@ -183,15 +205,15 @@ def hidden_by(cosine: Float[Array, "..."], eye: Eye) -> Float[Array, "..."]:
     return 3 * s * s
 
 
-def tilted(
-    pixels: IrisPixels, eye: Eye, relief: Float[Array, "3 angles radii"] | None
-) -> tuple[Parts, Float[Array, " pixels"] | float]:
-    """Components of the iris's unit normals towards the cornea, tilted by the `relief_of` a
-    relief, and the share of a uniform sky that this relief lets through.
-    """
+def normal_at(pixels: IrisPixels, eye: Eye, facing: Facing | None) -> Parts:
+    """Components of the iris's unit normals towards the cornea: tilted, or of the flat iris."""
+    return parts(eye.iris_normal(joined(pixels.point))) if facing is None else facing.normal
+
+
+@pixelwise
+def tilted(pixels: IrisPixels, eye: Eye, relief: Float[Array, "3 angles radii"]) -> Facing:
+    """Compute how a relief turns the iris at pixels, from its `relief_of`."""
     u, v, w = parts(eye.iris_normal(joined(pixels.point)))
-    if relief is None:
-        return (u, v, w), 1.0
     place = _place_of(pixels, eye)
     _, x, y = eye.ring_of(*pixels.point[:2])
     r = safe_sqrt(x * x + y * y)
@@ -201,7 +223,7 @@ def tilted(
     along, across = (-w * s for s in slopes)
     u, v = u - (along * x - across * y) / r, v - (along * y + across * x) / r
     length = jnp.sqrt(u * u + v * v + w * w)
-    return (u / length, v / length, w / length), sky
+    return Facing((u / length, v / length, w / length), sky)
 
 
 def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
@@ -216,12 +238,8 @@ def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
 
 
 @eqx.filter_jit
-def relief_of(
-    relief: Float[Array, "angles radii"] | None, eye: Eye
-) -> Float[Array, "3 2*angles 2*radii"] | None:
+def relief_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "3 2*angles 2*radii"]:
     """`slopes_of` a relief, and its `sky_of` on the same grid."""
-    if relief is None:
-        return None
     sky = jnp.repeat(jnp.repeat(sky_of(relief, eye), 2, 0), 2, 1)
     return jnp.concatenate([slopes_of(relief, eye), sky[None]])
 

@@ -35,7 +35,15 @@ from irisjax.render.lights import Lights
 from irisjax.render.polynomials import polynomials
 from irisjax.render.project import IrisPixels
 from irisjax.render.radiative import RadiativeIntegrator
-from irisjax.render.shading import Front, flux_at, fluxes_of, hidden_by, shares, tilted
+from irisjax.render.shading import (
+    Facing,
+    Front,
+    flux_at,
+    fluxes_of,
+    hidden_by,
+    normal_at,
+    shares,
+)
 from irisjax.render.surfaces import IrisSurface
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
@@ -67,15 +75,20 @@ class SingleScattering(AbstractIntegrator):
         check_whole("SingleScattering: n_steps", self.n_steps, 1)
 
     def illuminate(
-        self, pixels: IrisPixels, lights: Lights, front: Front, tables: Illumination | None
-    ) -> "SceneData":
-        """What all pixels share. The relief tilts the surface towards the light; its parallax is
-        left out.
+        self,
+        pixels: IrisPixels,
+        lights: Lights,
+        front: Front,
+        tables: Illumination | None,
+        facing: Facing | None,
+    ) -> "tuple[SceneData, Facing | None]":
+        """What all pixels share, and how each faces the light. The relief tilts the surface towards
+        the light; its parallax is left out.
         """
         elsewhere: Any = {"relief": None, "residual": None}
         maps = {} if front.maps is None else front.maps.replace(**elsewhere).present()
         flux = fluxes_of(lights, front.eye, tables)
-        return SceneData(maps, flux, lights.tint, front.relief(), front.eye)
+        return SceneData(maps, flux, lights.tint, front.eye), facing
 
     def response(self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales) -> "March":
         """The layers' optical depths at the wavelengths of `bands`."""
@@ -161,14 +174,12 @@ class SceneData(eqx.Module):
         maps: The subsurface map  [F09 Section 6.1]: those of the `IrisMaps` that are present.
         flux: Flux vectors of each light on a grid, see `fluxes_of`.
         tint: Tint of each light.
-        relief: Slopes and shade of the relief, see `relief_of`.
         eye: The eye.
     """
 
     maps: dict[str, Texture]
     flux: Float[Array, "lights 3 rows columns"]
     tint: Float[Array, "lights 3"] | None
-    relief: Float[Array, "3 angles radii"] | None
     eye: Eye
 
     def at(self, point: Float[Array, "3 pixels"]) -> dict[str, Float[Array, " pixels"]]:
@@ -200,9 +211,10 @@ class March(AbstractResponse):
     status: None = None
 
     def shade(
-        self, pixels: IrisPixels, texels: None, light: SceneData
+        self, pixels: IrisPixels, texels: None, light: tuple[SceneData, Facing | None]
     ) -> Float[Array, "channels pixels"]:
-        return _marched(pixels, self, light)
+        data, facing = light
+        return _marched((pixels, facing), self, data)
 
     def ends(self, local: dict[str, Array]) -> tuple[Array, Array]:
         """Depths of the ends of ABL and stroma, mm."""
@@ -224,15 +236,18 @@ class March(AbstractResponse):
 
 
 @pixelwise
-def _marched(pixels: IrisPixels, iris: March, data: SceneData) -> Float[Array, "channels pixels"]:
+def _marched(
+    turned: tuple[IrisPixels, Facing | None], iris: March, data: SceneData
+) -> Float[Array, "channels pixels"]:
     """Radiance of pixels: ∫ E p(α) μ_s e^(−τ_light/μ_i − τ_view/μ_o) dz/μ_o, light by light."""
+    pixels, facing = turned
     n_steps = iris.n_steps if data.maps else 1
     step = jnp.max(iris.ends(data.maps)[1]) / n_steps  # to where the layers are thickest
     point, direction = jnp.stack(pixels.point), jnp.stack(pixels.direction)
     flat = data.eye.iris_normal(point.T).T
     slant = 1 / jnp.maximum(-(direction * flat).sum(0), 1e-3)
     along = direction * slant + flat  # the iris, per depth
-    sources = _sources(pixels, direction, data)
+    sources = _sources(pixels, facing, direction, data)
     tints = jnp.ones((data.flux.shape[0], 1), slant.dtype) if data.tint is None else data.tint
 
     def march(carry, k):
@@ -270,11 +285,18 @@ def _marched(pixels: IrisPixels, iris: March, data: SceneData) -> Float[Array, "
     return jnp.einsum("cb,cbp->cp", iris.weights, radiance) * share
 
 
-def _sources(pixels: IrisPixels, direction: Float[Array, "3 pixels"], data: SceneData):
+def _sources(
+    pixels: IrisPixels,
+    facing: Facing | None,
+    direction: Float[Array, "3 pixels"],
+    data: SceneData,
+):
     """Of each light at each pixel, shapes (lights, pixels): irradiance across the light times the
     phase function (1/sr), and the slant 1/μ_i."""
-    normal, sky = tilted(pixels, data.eye, data.relief)
-    normal, flat = jnp.stack(normal), data.eye.iris_normal(joined(pixels.point)).T
+    normal, flat = (
+        jnp.stack(normal_at(pixels, data.eye, facing)),
+        data.eye.iris_normal(joined(pixels.point)).T,
+    )
 
     def one(flux):
         found = flux_at(flux, data.eye.iris_radius, pixels.point)
@@ -284,8 +306,8 @@ def _sources(pixels: IrisPixels, direction: Float[Array, "3 pixels"], data: Scen
         bend = (towards * direction).sum(0)
         lit = (power > 0) & (cosine > 1e-3)
         phase = rayleigh(bend) / (4 * jnp.pi)
-        if data.relief is not None:
-            hidden = (1 - sky) * hidden_by(-(towards * flat).sum(0), data.eye)
+        if facing is not None:
+            hidden = (1 - facing.sky) * hidden_by(-(towards * flat).sum(0), data.eye)
             power = power * jnp.maximum(1 - hidden, 0.0)
         return jnp.where(lit, power * phase, 0.0), 1 / jnp.where(lit, cosine, 1.0)
 

@@ -192,7 +192,7 @@ def test_a_coat_that_changes_is_painted_with_those_below_alone(monkeypatch):
         found = painted.paint(base, dict(steps))
         counts = tuple(done.values())
         front = Front(made.eye, None, None)
-        whole = painted.illuminate(few(), made.lights, front, tables())
+        whole = painted.illuminate(few(), made.lights, front, tables(), None)
         np.testing.assert_allclose(found, whole, atol=1e-12)
         assert np.abs(np.asarray(found - first)).max() > 1e-3
         return counts

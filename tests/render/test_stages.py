@@ -54,7 +54,9 @@ def test_absent_parts_cost_nothing(tables):
         operations(
             lambda m=m: (
                 QUICK.texels(pixels, shading.Front(eye, iris, m), Scales.of(m, iris).ranges()),
-                QUICK.illuminate(pixels, lamp, shading.Front(eye, iris, m), tables),
+                front := shading.Front(eye, iris, m),
+                facing := front.facing(pixels),
+                QUICK.illuminate(pixels, lamp, front, tables, facing),
             )
         )
         for m in maps.values()
