@@ -14,44 +14,63 @@ QUANTITIES = (REFLECTANCE, RADIANCE, ABSORBANCE, KUBELKA_MUNK)
 
 _SD, _MEAN, _STATISTIC = "standard deviation", "mean", "statistic"
 _TRANSMITTANCE = "transmittance"
+_OTHER, _LN = "another quantity", "natural logarithm"
+_OD = "optical density or right eye"  # oculus dexter, the right one where OS is there too
 _WITHOUT_ASKING = (REFLECTANCE, ABSORBANCE, KUBELKA_MUNK, "", _MEAN)  # the first that there is
 # These words count between characters that are no letters, as in "left_sd" and "SD (R)".
 _SD_WORDS = (
-    r"sd|std|stds?dev|stdev|std\W?dev(iation)?|se|sem|stderr|err|errors?|sigma|σ|u|unc|uncert|"
+    r"sd|std|stds?dev|stdev|std\W?dev(iation)?|se|sem|stderr|err|errors?|sigma|σ|(?<!a\.)u|unc|uncert|incert\w*|"
     r"uncertainty|noise|δr|dr|(?<=[+±])/-|±|"
     r"standard[\W_]?(deviation|error|uncertainty)|standardabweichung|stabw|standardfehler|"
-    r"[ée]cart[\W_]?type|incertitude|desviaci[oó]n|deviazione|scarto|標準偏差"
+    r"[ée]cart[\W_]?type|(mess)?unsicherheit|desviaci[oó]n|desvio|deviazione|scarto|standaardafwijking|"
+    r"standardavvikelse|odchylenie|отклонение|標準偏差|标准差"
 )
 _BEFORE, _AFTER = r"(?<![^\W\d_])", r"(?![^\W\d_])"
 # The first form that a header matches gives its role.
 _FORMS = {
     "dark signal": rf"{_BEFORE}(dark|dunkel|oscuro|baseline){_AFTER}",
-    "arbitrary units": r"arbitrary|\ba\.\s?u\.",
-    _STATISTIC: rf"{_BEFORE}(min|max|minimum|maximum|median|variance|covariance|range|n|snr|"
-    rf"skew|flags?|quality){_AFTER}",
+    "arbitrary units": r"arbitrary|^(?!.*absor).*\ba\.\s?u\.",
+    _STATISTIC: rf"{_BEFORE}(min|max|minimum|maximum|variance|covariance|range|n|snr|skew|flags?|"
+    rf"quality|ci|q[13]|quartile|percentile){_AFTER}",
     _SD: rf"{_BEFORE}({_SD_WORDS}){_AFTER}",
+    _OTHER: r"(absorption|scattering|extinction|attenuation)\W+coeff|\b[mµμ]u?_?[as]\b|epsilon|"
+    r"\bbrdf\b|absorptance|(?-i:^A\W*%)|\bdB\b|1\s*-\s*R\b|volt|photocurrent|fluoresc|luminescen|"
+    r"\bemission|\bpower\b|[\[(]([mkµμn]?(?-i:[VJ])|[mµμn]A|1/[mc]?m|[mc]?m\W?-1)\b",
+    _LN: r"\bln\W*(1\s*/\s*)?[RT]\b",
     ABSORBANCE: r"absorb|absorpti|extin[ck]tion|optical density|吸光度|"
-    r"\bA\.?U\b|\bAbs\b|(?-i:^A$)|log\W*1\s*/\s*[RT]\b",
-    KUBELKA_MUNK: r"kubelka|munk|\bk\s*/\s*s\b|\bf\(r",
+    r"\bA\.?U\b|\bAbs\b|(?-i:^A$)|log\W*1\s*/\s*[RT]\b|[-−–]\s*log(10)?\W*[RT]\b",
+    _OD: r"(?-i:^OD$)",
+    KUBELKA_MUNK: r"kubelka|munk|\bk-m\b|\bk\s*/\s*s\b|\bf\(r",
     _TRANSMITTANCE: rf"transmi|trasmit|透過率|%\s*T\b|\bT\s*\(?%|{_BEFORE}M_T\b|(?-i:^T$)",
     "irradiance": r"irradian|[µμu]W",
-    REFLECTANCE: r"refle[ck]|r[ée]flect|reflex|riflett|remission|albedo|反射率|"
+    REFLECTANCE: r"refle[ckxt]|r[ée]flect|riflett|remission|albedo|odbici|отраж|反射率|"
+    r"radian\w*\W(factor|coeff)|\w\s*/\s*(white|ref(erence)?)\b|"
     rf"^R\b|^R_|%\s*R\b|{_BEFORE}R\s*\(?%|{_BEFORE}M_R\b|\bSC[IE]\b",
     RADIANCE: rf"radian[cz]|luminancia|{_BEFORE}rad{_AFTER}",
     "counts": r"count|scope|intensity|\braw\b|\badu\b|\bdn\b|\bwhite\b|^ref(erence)?\b|"
     r"z[äa]hler|cuentas",
-    _MEAN: rf"{_BEFORE}(mean|average|avg|mittel(wert)?|moyenne|media|promedio|平均){_AFTER}",
+    _MEAN: rf"{_BEFORE}(mean|median|average|avg|mittel(wert)?|moyenne|media|promedio|平均){_AFTER}",
 }
 SPECTRAL_ROLES = (*QUANTITIES, "irradiance", "counts", "dark signal", _SD)
 """Roles of columns of a spectrum, which no sensitivity has."""
 _REFUSALS = {
     RADIANCE: "a radiance; give --quantity radiance",
     _TRANSMITTANCE: "a transmittance; where it is the light sent back, give --quantity reflectance",
+    _OTHER: "no reflectance; where it is one, give --quantity reflectance",
+    _LN: "a natural logarithm; divide it by 2.302585 and give --quantity absorbance",
+    _OD: "an optical density or the right eye; give --quantity absorbance or reflectance",
 }
+_RAW = ("counts", "dark signal")
 _TO_DO = "divide the light of the eye by that of a white reference, both less the dark signal"
 # Names that differ in a number only are scans of one thing, unless the number is that of an eye.
-_NOT_SCANS = re.compile(r"sample|eye|subject|patient|person|probe|muestra|auge|œil|\bid\b|^\W*$")
-_SPECULAR = re.compile(r"\bSC[IE]\b")  # specular component included, excluded
+_NOT_SCANS = re.compile(
+    r"(^|sample|eye|subject|patient|person|probe|muestra|auge|œil|\bid|\bp)[\W_]*$", re.I
+)
+_MEASURE = re.compile(r"\s*(°|deg|[smhd]\b|sec|min|day|week|month|year|[mµn]m|%)", re.I)
+# What names say of columns that are no scans of one another: the specular component included or
+# excluded, and what was done to the numbers.
+_KINDS = re.compile(r"\bsc[ie]\b|smooth|filter|\braw|correct|interpol|\bfit|model|total|diffuse")
+_APART = 0.5  # relative difference between the medians of columns that are scans by their names
 _LEAST_ROWS = 8  # by which the noise of columns can be told from what differs
 
 
@@ -142,10 +161,16 @@ def _spectra(table: Columns, roles: dict[int, str], wanted: str | None) -> list[
         # The columns that can be used after all are named rather than those that cannot.
         j = min(others, key=lambda j: [*_REFUSALS, others[j]].index(others[j]))
         raise ValueError(_refusal(table, j, others[j]))
+    raw = [j for j in others if others[j] in _RAW]
+    if role in ("", _MEAN) and raw and not wanted:
+        said = f"{_listed(table, roles)}: beside {table.names[raw[0]]!r} the others may be counts"
+        raise ValueError(f"{said}; choose the reflectance with --column NAME")
     spectra = [j for j in others if role is None or others[j] == role]
     if not spectra:
         raise ValueError(f"{_listed(table, roles)}; need one spectrum, such as a reflectance")
-    if len(spectra) > 1 and not _one_thing(table, spectra):
+    stated = [_owner(j, spectra, table) for j in roles if roles[j] == _SD and len(spectra) > 1]
+    own = len(set(stated) & set(spectra)) > 1  # each has its standard deviation
+    if len(spectra) > 1 and (own or not _one_thing(table, spectra)):
         raise ValueError(
             f"{_listed(table, roles)}: these are no scans of one spectrum, whose names would "
             "differ in a number only, or whose values by noise; choose with --column NAME"
@@ -169,7 +194,8 @@ def _owner(j: int, spectra: list[int], table: Columns) -> int | None:
     only one, or else the one just before it.
     """
     rest = _plain(re.sub(_FORMS[_SD], " ", table.names[j], flags=re.I))
-    named = [k for k in spectra if rest and _plain(table.names[k]) == rest]
+    plain = {k: _plain(re.sub(_FORMS[_MEAN], " ", table.names[k], flags=re.I)) for k in spectra}
+    named = [k for k in spectra if rest and rest in (plain[k], _plain(table.names[k]))]
     if len(named) == 1:
         return named[0]
     usable = [k for k in spectra if role_of(table.names[k]) in _WITHOUT_ASKING]
@@ -181,15 +207,13 @@ def _owner(j: int, spectra: list[int], table: Columns) -> int | None:
 def _one_thing(table: Columns, columns: list[int]) -> bool:
     """Whether columns are scans of one spectrum, by their names or by their values."""
     names = {table.names[j] for j in columns}
-    stems = {re.sub(r"[\W\d_]+", " ", name).strip().lower() for name in names}
-    if len(names) == 1 and names != {""}:
-        return True
-    if len({kind for name in names for kind in _SPECULAR.findall(name.upper())}) > 1:
+    if len({tuple(_KINDS.findall(name.lower())) for name in names}) > 1:
         return False
-    if len(stems) == 1 and not _NOT_SCANS.search(stems.pop()):
-        return True
     values = table.values[:, columns]
     values = values[np.isfinite(values).all(1)]
+    if names != {""} and (len(names) == 1 or _numbered(names)):
+        middle = np.median(values, axis=0) if len(values) else np.ones(1)
+        return bool(np.ptp(middle) <= _APART * np.abs(np.median(middle)))
     off = values - np.median(values, axis=1, keepdims=True)
     size = np.abs(np.median(values)) or 1.0
     if names == {""}:
@@ -200,6 +224,18 @@ def _one_thing(table: Columns, columns: list[int]) -> bool:
     rough = np.diff(values - values.mean(1, keepdims=True), n=2, axis=0).std(axis=0) / np.sqrt(6)
     apart = np.sqrt((off**2).mean(axis=0))
     return bool((apart <= np.maximum(2 * rough.max(), 1e-9 * size)).all())
+
+
+def _numbered(names: set[str]) -> bool:
+    """Whether names differ in numbers only, none of them that of an eye or with a unit."""
+    parts = [re.split(r"(\d+)", name) for name in names]
+    if len({tuple(re.sub(r"[\W_]+", " ", p).lower() for p in x[::2]) for x in parts}) > 1:
+        return False
+    for i in range(1, len(parts[0]), 2):
+        before, after = ("0" if i > 1 else "") + parts[0][i - 1], parts[0][i + 1]
+        if len({x[i] for x in parts}) > 1 and (_NOT_SCANS.search(before) or _MEASURE.match(after)):
+            return False
+    return True
 
 
 def _named(table: Columns, wanted: str, roles: dict[int, str]) -> list[int]:
@@ -238,7 +274,8 @@ def _plain(name: str) -> str:
 
 def _roles_of(table: Columns) -> dict[int, str]:
     """Roles of all columns but the wavelength's."""
-    return {j: role_of(name) for j, name in enumerate(table.names) if j}
+    roles = {j: role_of(name) for j, name in enumerate(table.names) if j}
+    return {j: "" if r == _OD and "OS" in table.names else r for j, r in roles.items()}
 
 
 def role_of(header: str) -> str:

@@ -15,7 +15,8 @@ import numpy as np
 from irisjax.io.text import Columns, decoded, read_columns
 
 WAVELENGTH = re.compile(
-    r"wave|wvl|wellenl|longueurs? d.onde|longitud|lunghezza d.onda|波長|λ|lambda|^\W*nm\W*$", re.I
+    r"wave|wvl|wellenl|longueurs? d.onde|longitud|lunghezza d.onda|波長|^\W*(λ|lambda|nm\W*\d*$)",
+    re.I,
 )
 """What headers call wavelengths and wavenumbers."""
 
@@ -26,21 +27,32 @@ UNITS = {
 }
 """Units of wavelengths and wavenumbers that headers name, the first that matches."""
 
-# Binary formats: what a file begins with, or the end of its name, and how to come to a text.
+# Binary formats: what a file begins with, or the end of its name, and how to come to a text. Of two
+# with one beginning the name decides, or else the last.
 _BINARY = (
     (rb"ASD|as[5-9]", ".asd", "ASD's binary format", "ViewSpec Pro: Process > ASCII Export"),
     (rb".[\x4b\x4c\x4d\xcf]", ".spc", "the binary format SPC", "export as ASCII or JCAMP-DX"),
-    (rb"PEPE", ".sp", "PerkinElmer's binary format", "save as ASCII (.asc) or JCAMP-DX"),
+    (rb"PEPE", "", "PerkinElmer's binary format", "save as ASCII (.asc) or JCAMP-DX"),
     (rb"\xd0\xcf\x11\xe0", ".jws", "JASCO's binary format", "Spectra Manager: export as text"),
-    (rb"\xd0\xcf\x11\xe0", ".xls", "Excel's old format", "save it as .xlsx or .csv"),
+    (rb"\xd0\xcf\x11\xe0", "", "Excel's old format", "save it as .xlsx or .csv"),
     (rb"PK", ".procspec", "Ocean Insight's ProcSpec", "SpectraSuite: save as tab-delimited text"),
-    (None, ".dsw", "Cary's binary format", "Cary WinUV: save as ASCII (.csv)"),
-    (None, ".roh", "AvaSoft's binary format", "AvaSoft: File > Convert > to ASCII"),
+    (rb"PK.{28}mimetypeapplication/vnd.oasis", "", "OpenDocument", "save it as .xlsx or .csv"),
+    (rb"PK.{28}\w+\.npy|\x93NUMPY", "", "NumPy's binary format", "numpy.savetxt writes a text"),
+    (rb"\x89HDF", "", "HDF5", "write the spectrum as CSV"),
+    (rb"MATLAB \d", "", "MATLAB's binary format", "writematrix writes a CSV"),
+    (rb"\x0a\x0a\xfe\xfe", "", "Bruker's binary format", "OPUS: save as data point table or JCAMP"),
+    (rb"", ".dsw", "Cary's binary format", "Cary WinUV: save as ASCII (.csv)"),
+    (rb"", ".roh", "AvaSoft's binary format", "AvaSoft: File > Convert > to ASCII"),
 )
 _JCAMP_LABELS = {"DATATYPE": "DATA TYPE", "JCAMPDX": "JCAMP-DX", "PEAKTABLE": "PEAK TABLE"}
 BOXCAR = "boxcar"
 """Key under which a header has the number of pixels on each side of a moving average."""
+ELSE = "quantity of the preamble"
+"""Key under which a header has the word for another quantity that the file's preamble has."""
+_NO_REFLECTANCE = re.compile(r"absorbance|extin[ck]tion|kubelka|transmi(ss|tt)\w*|\.abs$", re.I)
 _BOXCAR = re.compile(r"^\W*boxcar(?: width| smoothing)?\W*[:=\t ]\s*(\d+)\s*$", re.I | re.M)
+_REPEATED = re.compile(r"([@%A-Ra-r+-]\d*)([S-Zs])(\d*)")
+_JAZ = {"W": "nm", "D": "dark", "R": "reference", "S": "sample counts", "P": "Processed"}
 _SVC = ("wavelength (nm)", "radiance of the reference", "radiance", "reflectance (%)")
 # Inverse adding-doubling: the columns that a number of them stands for, and those that are read.
 _IAD_ORDER, _IAD_PARAMETERS = "rtuwWRT", 17
@@ -58,11 +70,15 @@ def read_spectral_table(path: str | Path) -> Columns:
     """
     path = Path(path)
     data = path.read_bytes()
-    if data.startswith(b"PK") and path.suffix.lower() != ".procspec":
-        return _with_wavelengths_first(_excel(path))
+    for first, suffix, what, way in _BINARY:
+        if path.suffix.lower().endswith(suffix) and re.match(first, data, re.S):
+            said = f"{what} is not read; export a text from the program that wrote it"
+            raise ValueError(f"{said} ({way})")
+    if data.startswith(b"PK"):
+        return _with_wavelengths_first(_excel(data))
     text = decoded(data)
     if text is None:
-        raise ValueError(_binary(path, data))
+        raise ValueError("not a text file; export the spectrum as text, CSV, JCAMP-DX or .xlsx")
     if re.match(r"\s*##\s*TITLE", text, re.I):
         return _jcamp(text)
     if re.match(r"/\*+ Spectra Vista", text):
@@ -72,30 +88,41 @@ def read_spectral_table(path: str | Path) -> Columns:
     if re.search(r"^BEGIN_DATA_FORMAT", text, re.M):
         text = _cgats(text)
     table = read_columns(text)
+    at = re.match(r"line (\d+)", table.where[0])
+    above = text.splitlines()[: int(at[1]) - 1] if at else []
+    if not re.search("refle", " ".join(above), re.I):
+        for found in filter(None, map(_NO_REFLECTANCE.search, (*above, path.name))):
+            table.header[ELSE] = found[0]
     if smoothed := _BOXCAR.search(text):
         table.header[BOXCAR] = smoothed[1]
     return _with_wavelengths_first(table)
-
-
-def _binary(path: Path, data: bytes) -> str:
-    for first, suffix, what, way in _BINARY:
-        if path.suffix.lower() == suffix and (first is None or re.match(first, data, re.S)):
-            return f"{what} is not read; export a text from the instrument's program ({way})"
-    return "not a text file; export the spectrum as text, CSV, JCAMP-DX or Excel (.xlsx)"
 
 
 def _with_wavelengths_first(table: Columns) -> Columns:
     """The column of wavelengths, named so or else the first, in front of the others. Several such
     columns are those of the columns that follow each.
     """
+    if sorted(table.names) == sorted(_JAZ):
+        table = _jaz(table)
     named = [j for j, name in enumerate(table.names) if WAVELENGTH.search(name)] or [0]
     others = [j for j in range(len(table.names)) if j not in named]
+    by_number = [j for j in named if UNITS["1/cm"].search(table.names[j])]
+    if len(by_number) < len(named):  # the same once more
+        named = [j for j in named if j not in by_number]
     if len(named) == 1:
         order = [*named, *others]
         return table._replace(values=table.values[:, order], names=[table.names[j] for j in order])
     own = {j: max((k for k in named if k < j), default=named[0]) for j in others}
     spectra = [(table.names[j], table.values[:, own[j]], table.values[:, j]) for j in others]
     return _joined(table.names[named[0]], spectra)._replace(header=table.header, notes=table.notes)
+
+
+def _jaz(table: Columns) -> Columns:
+    """Ocean Insight's JAZ: letters name the columns; the last one may be any quantity."""
+    dark, white, light, said = (table.values[:, table.names.index(n)] for n in "DRSP")
+    share = np.median(said * (white - dark)) / np.median(100 * (light - dark))
+    names = _JAZ | ({"P": "reflectance (%)"} if 0.8 < share < 1.25 else {})
+    return table._replace(names=[names[name] for name in table.names])
 
 
 def _joined(name: str, spectra: list[tuple[str, np.ndarray, np.ndarray]]) -> Columns:
@@ -112,7 +139,7 @@ def _joined(name: str, spectra: list[tuple[str, np.ndarray, np.ndarray]]) -> Col
     return Columns(values, [name, *(name for name, _, _ in spectra)], where, {})
 
 
-def _excel(path: Path) -> Columns:
+def _excel(data: bytes) -> Columns:
     """The one sheet of a workbook that holds a table."""
     try:
         import openpyxl
@@ -121,7 +148,7 @@ def _excel(path: Path) -> Columns:
             "an Excel file needs openpyxl: pip install 'irisjax[instruments]', or save it as CSV"
         ) from None
     try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+        book = openpyxl.load_workbook(io.BytesIO(data), read_only=True, data_only=True)
         sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book}
     except (KeyError, OSError, zipfile.BadZipFile) as error:
         raise ValueError(f"not readable as an Excel file ({error})") from None
@@ -273,9 +300,18 @@ def _jcamp_block(lines: list[str]) -> tuple[dict[str, Any], str]:
     import jcamp
 
     printed = io.StringIO()
+    # A value and how often it is there: the parser knows numbers of one digit, after a difference.
+    lines = [x if x.startswith("##") else _REPEATED.sub(_repeated, x) for x in lines]
     try:
         with contextlib.redirect_stdout(printed):
             found = jcamp.read(lines)
     except Exception as error:  # the parser checks nothing: a damaged file may raise anything
         raise ValueError(f"not readable as JCAMP-DX ({error})") from None
-    return found, printed.getvalue().partition("\n")[0]
+    said = printed.getvalue().partition("\n")[0]
+    if "Check failed" in said:
+        raise ValueError(f"JCAMP-DX, damaged or not of equal steps: {said}")
+    return found, said
+
+
+def _repeated(found: re.Match[str]) -> str:
+    return found[1] * int(f"{'STUVWXYZs'.index(found[2]) + 1}{found[3]}")

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from irisjax.infer.observation import RADIANCE, REFLECTANCE, mean_of_scans
 from irisjax.io.columns import ABSORBANCE, KUBELKA_MUNK, QUANTITIES, Selection, eyes_of, select
-from irisjax.io.formats import BOXCAR, UNITS, read_spectral_table
+from irisjax.io.formats import BOXCAR, ELSE, UNITS, read_spectral_table
 from irisjax.io.tables import naming
 from irisjax.io.text import Columns
 from irisjax.measure.passbands import BANDWIDTH
@@ -29,11 +29,19 @@ WAVELENGTH_UNITS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 """Units of a first column, and its conversion to nm."""
 
+_NO_WAVELENGTH = re.compile(
+    r"hz\b|frequen|\beV\b|energ|Å|angstr|\(m\)|pixel|index|channel|shift|^(band|time|date|year|no)\b",
+    re.I,
+)
 _PERCENT = re.compile(r"%|per\s?cent|prozent|pour\s?cent", re.I)
 _FRACTION = re.compile(r"fraction|^1$|\[1(\.0)?\]|0\s*(-|–|to)\s*1\b", re.I)
+# Of standard deviations: relative to each value; or expanded, k times as large.
+_RELATIVE = re.compile(r"(?<![^\W_])rel(ative)?(?![^\W_])", re.I)
+_EXPANDED = re.compile(r"k\s*=\s*(\d(?:\.\d+)?)|^\W*(\d)\W*(?:sd|σ|sigma)", re.I)
 # The largest reflectance of any iris lies between these: ILIT gives 0.12 without any pigment, and
 # 0.0024, the first surface's alone, under 8 µg/mm² of melanin.
 _BRIGHT, _DARK = 0.4, 0.002
+_NEGATIVE = 0.05  # share of negative values that is doubted
 _IMPOSSIBLE = 1.2  # as a fraction, calibration aside
 _NEIGHBOURS = 5  # wavelengths whose median tells a wild value
 _WILD = 10.0  # times the median distance of values from their neighbours
@@ -173,6 +181,14 @@ def _spectrum(table: Columns, how: ReadOptions, chosen: Selection) -> Measured:
         raise ValueError(f"{where[i + 1]}: {x[i]:g} nm appears twice")
     count = len(chosen.spectra)
     scans, sd = values[order, 1 : count + 1], values[order, count + 1 :]
+    if sd.size and not sd.any():
+        notes.append("standard deviations of zero are none")
+        sd, chosen = sd[:, :0], chosen._replace(sd=None)
+    elif sd.size:
+        sd = sd * _factor_of_sd(table.names[used[-1]], scans)
+    if ELSE in table.header and not (how.quantity or chosen.role):
+        said = f"the preamble or the name of the file says {table.header[ELSE]!r}"
+        raise ValueError(f"{said}: give --quantity, {', '.join(QUANTITIES)}")
     quantity = how.quantity or chosen.role or REFLECTANCE
     if quantity in (ABSORBANCE, KUBELKA_MUNK):
         form = "log10(1/R)" if quantity == ABSORBANCE else "(1 - R)²/2R"
@@ -180,7 +196,10 @@ def _spectrum(table: Columns, how: ReadOptions, chosen: Selection) -> Measured:
         scans, slope = _reflectance_of(scans, quantity)
         sd = slope[:, :1] * sd
     elif quantity == REFLECTANCE:
-        scale = 100 if _unit(scans, how.unit, chosen.label, table.header, notes) == "percent" else 1
+        unit = _unit(scans, how.unit, chosen.label, table.header, notes)
+        if chosen.sd is not None:
+            _check_unit_of_sd(table.names[used[-1]], unit)
+        scale = 100 if unit == "percent" else 1
         scans, sd = scans / scale, sd / scale
     doubts = () if quantity == RADIANCE else _doubts(x, scans)
     y, scatter = mean_of_scans(scans)
@@ -225,6 +244,9 @@ def _in_nm(
 ) -> np.ndarray:
     for unit_named, form in UNITS.items():
         unit = unit or (unit_named if form.search(name) else None)
+    if unit is None and _NO_WAVELENGTH.search(name):
+        known = ", ".join(WAVELENGTH_UNITS)
+        raise ValueError(f"column {name!r} is no wavelength; convert it to one of {known}")
     if unit is None and x.min() > 0.1 and np.median(x) < 20:
         unit = "um"
         notes.append("wavelengths read as µm (the file does not say; --wavelength-unit otherwise)")
@@ -243,7 +265,8 @@ def within_range(x: np.ndarray, asked: tuple[float, float] | None, notes: list[s
         low, high, why = max(low, asked[0]), min(high, asked[1]), "as asked"
     inside, span = (x >= low) & (x <= high), f"{low:g} to {high:g} nm"
     if not inside.any():
-        raise ValueError(f"wavelengths {x.min():g} to {x.max():g} nm; none is within {span}")
+        other = "; --wavelength-unit if they are in another unit" if asked is None else ""
+        raise ValueError(f"wavelengths {x.min():g} to {x.max():g} nm; none is within {span}{other}")
     if not inside.all():
         left = f"{(~inside).sum()} of {inside.size} wavelengths left out"
         notes.append(f"{left}: only {span}, {why}")
@@ -262,6 +285,8 @@ def _unit(
     said = "fraction" if "irisjax" in header else header.get("unit", "")
     if _PERCENT.search(f"{label} {said}"):
         return "percent"
+    if re.search("‰|per ?mille|promille", label, re.I):
+        raise ValueError(f"column {label!r}: give per cent or fractions")
     if _FRACTION.search(said) or _FRACTION.search(label):
         return "fraction"
     # One wild pixel must not decide, so the largest value is that of medians.
@@ -279,6 +304,25 @@ def _unit(
         )
     notes.append("values read as fractions (the file does not say; --unit percent otherwise)")
     return "fraction"
+
+
+def _factor_of_sd(name: str, scans: np.ndarray) -> np.ndarray | float:
+    """Factor on a standard deviation that is stated relative to the values or k times as large."""
+    stated = _EXPANDED.search(name)
+    factor = 1 / float(stated[1] or stated[2]) if stated else 1.0
+    if not _RELATIVE.search(name):
+        return factor
+    return factor * np.abs(scans) / (100 if _PERCENT.search(name) else 1)
+
+
+def _check_unit_of_sd(name: str, unit: str) -> None:
+    said = {"percent": _PERCENT, "fraction": _FRACTION}
+    if _RELATIVE.search(name):
+        return
+    for other, form in said.items():
+        if other != unit and form.search(name):
+            to_do = "in the unit of the values, or call it 'relative sd' (of each value)"
+            raise ValueError(f"column {name!r} is beside a {unit}: give it {to_do}")
 
 
 def _smooth(scans: np.ndarray) -> np.ndarray:
@@ -302,6 +346,8 @@ def _doubts(x: np.ndarray, reflectance: np.ndarray) -> tuple[str, ...]:
     """Doubts where a value is far from its neighbours, or the largest is not that of an iris."""
     wild = _wild(reflectance)
     doubts = []
+    if (negative := (reflectance < 0).mean()) > _NEGATIVE:
+        doubts.append(f"{100 * negative:.0f} % of the reflectances are negative: dark signal?")
     if 0 < wild.size <= max(1, x.size // 10):
         some = ", ".join(f"{v:g}" for v in x[wild][:5]) + (", ..." if wild.size > 5 else "")
         doubts.append(

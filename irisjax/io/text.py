@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---"}
+_DELETED = 1e30  # spectral libraries write a larger number where a value is missing
 # Separators (`None`: blanks), and whether a comma is the decimal sign.
 _LAYOUTS = (
-    *(("\t", False), ("\t", True), (";", False), (";", True), (",", False)),
+    *(("\t", False), ("\t", True), (";", False), (";", True), (",", False), (",", True)),
     *((None, False), (None, True)),
 )
 # Ocean Insight: what stands between these lines is the spectrum.
@@ -28,7 +29,10 @@ HEADER = re.compile(
 _FEWEST = 5  # wavelengths in a line that names columns by them
 _LABEL = re.compile(r"name|sample|title|label|\bid\b|eye|probe|muestra|échantillon", re.I)
 # Preambles that state the units of two unnamed columns, as JASCO and spectral libraries do.
-_UNITS = re.compile(r"^\W*([XY])\s*[- _]?\s*units?\s*[:=\t;, ]\s*(.+?)\s*$", re.I | re.M)
+_UNITS = re.compile(
+    r"^\W*([XY])[- _]*(?:axis[- _]*)?(?:units?|(?<=axis))\s*[:=\t;, ]\s*([^\d\s].*?)[\s,;]*$",
+    re.I | re.M,
+)
 # PerkinElmer: a line of the preamble that is nothing but the unit of the second column.
 _LONE_UNIT = re.compile(r"^(%\s*[RT]|A|ABS|Abs)$")
 
@@ -89,7 +93,7 @@ def read_columns(text: str) -> Columns:
     every = every[: next((i for i, (_, line) in enumerate(every) if _END.match(line)), None)]
     lines = [(number, line) for number, line in every if not line.lstrip().startswith("#")]
     values, names, where, notes = _rows_of_spectra(lines) or _rows_of_numbers(lines)
-    if not any(names):
+    if not any(names) or "Column 1:" in text:
         names = _names_said(text, every, where, len(names)) or names
     return Columns(values, names, where, header, notes)
 
@@ -145,7 +149,10 @@ def _without_numbers(lines: _Lines) -> str:
         first, *others = re.split(r"[\t;, ]+", line.strip())
         if others and _numbers([first], False) is not None:
             return f"line {number}: {others[0]!r} is not a number"
-    return "no numbers in it"
+    return (
+        "no rows of numbers in it: the first cell of each is a number, and tabs, semicolons, "
+        "commas or blanks separate them"
+    )
 
 
 def _names(above: list[list[str]], width: int) -> list[str]:
@@ -168,6 +175,12 @@ def _names(above: list[list[str]], width: int) -> list[str]:
     ):
         rows = rows[1:]  # of a preamble that is as wide as the table the nearer line is the names
     rows = rows or [[""] * width]
+    nearest = rows[-1][1:]
+    if len(rows) == 1 and any(nearest) and len(set(nearest)) < width - 1 and not _pairs(rows[0]):
+        # What tells columns of one name apart stands further up.
+        further = (cells for cells in reversed(above[:-1]) if len(cells) == width)
+        named = next((cells for cells in further if len(set(cells)) == width), None)
+        rows = [["", *named[1:]], *rows] if named else rows
     return [" ".join(part for part in column if part) for column in zip(*rows, strict=True)]
 
 
@@ -189,6 +202,12 @@ def _names_said(text: str, every: _Lines, where: list[str], width: int) -> list[
             names = _cells(above.lstrip("# "), separator)
             if len(names) == width:
                 return names
+    # ENVI: "Column 2: name~~1##255,0,0"; USGS: "wavelength   reflectance   standard deviation".
+    numbered = re.findall(r"^Column \d+: *(.*?) *(?:~~.*)?$", text, re.M)
+    listed = [re.split(r"\t|\s{2,}", line.strip()) for _, line in every[:at]]
+    for names in (numbered, *reversed(listed)):
+        if len(names) == width and re.match("wavel", names[0], re.I):
+            return names
     said = {axis.upper(): unit for axis, unit in _UNITS.findall(text)}
     lone = [line.strip() for _, line in every[:at] if _LONE_UNIT.match(line.strip())]
     if width == 2 and ("Y" in said or lone):
@@ -227,6 +246,13 @@ def _spectra_of(
     first = min(min(places.values()) for places in groups.values())
     columns, names = [np.array(every)], ["wavelength (nm)"]
     labels = [_label(titles[:first], cells[:first]) for _, cells in rows]
+    for j in range(first):  # rows of one name may differ in a word, such as SCI and SCE
+        words = [cells[j] if not re.search(r"\d", cells[j]) else "" for _, cells in rows]
+        twins = [{w for w, other in zip(words, labels, strict=True) if other == n} for n in labels]
+        labels = [
+            f"{name} {word}" if len(own) > 1 else name
+            for name, word, own in zip(labels, words, twins, strict=True)
+        ]
     for name, places in groups.items():
         for label, (_, cells) in zip(labels, rows, strict=True):
             found = _numbers([cells[j] for j in places.values()], True) or []
@@ -283,6 +309,7 @@ def _number(cell: str, comma: bool) -> float | None:
     if cell.lower() in _MISSING:
         return np.nan
     try:
-        return float(cell.replace(",", ".") if comma else cell)
+        value = float(cell.replace(",", ".") if comma else cell)
     except ValueError:
         return None
+    return np.nan if _DELETED < abs(value) < np.inf else value

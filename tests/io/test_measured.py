@@ -3,6 +3,7 @@
 Examples by hand after the layouts that makers document: no measured file is in the project.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -146,6 +147,18 @@ def test_jcamp(tmp_path, unit, x, y, scale):
     np.testing.assert_allclose(found.values, Y[:3], rtol=1e-5)
     with pytest.raises(ValueError, match="XUNITS"):
         io.read_measured(written(tmp_path, jcamp("R", Y, "ARBITRARY")))
+
+
+def test_jcamp_in_differences_with_repetitions(tmp_path):
+    # 31, 31, 12 times 33, 30, 30: the first value of a line repeats the last one.
+    lines = ("##XYDATA=(X++(Y..Y))", "400C1%K%S1", "413C3lT")
+    text = jcamp("REFLECTANCE", Y).replace("##NPOINTS=3", "##NPOINTS=16")
+    text = text.replace("YFACTOR=1.0", "YFACTOR=0.001").replace("LASTX=500.0", "LASTX=415.0")
+    text = re.sub(r"##XYPOINTS.*\n##END", "\n".join([*lines, "##END"]), text, flags=re.S)
+    found = io.read_measured(written(tmp_path, text))
+    np.testing.assert_allclose(1000 * found.values, [31, 31] + 12 * [33] + [30, 27])
+    with pytest.raises(ValueError, match=r"damaged .* Y-Check failed"):
+        io.read_measured(written(tmp_path, text.replace("413C3", "413C4")))
 
 
 def test_absorbance_and_kubelka_munk_are_converted(tmp_path):
@@ -336,6 +349,64 @@ ROLES = {
         False,
         "'Ref [counts]'",
     ),
+    "JAZ": (
+        "W\tD\tR\tS\tP\n" + rows("\t", GRID, 900 + 0 * R, 900 + 3e4 + R, 900 + 3e4 * R, 100 * R),
+        {},
+        False,
+        "'reflectance (%)' used",
+    ),
+    "ENVI": (
+        "Column 1: Wavelength\nColumn 2: iris~~1##255,0,0\n" + rows("  ", GRID, R), {}, False, ""
+    ),
+    "columns listed in a preamble": (
+        "   wavelength   reflectance    standard deviation\n\niris AREF\ncopy of splib05a r 4000\n"
+        + rows("   ", GRID / 1000, R, SD) + "\n 0.71  -1.23e34  0.0",
+        {},
+        True,
+        "1 of 32 wavelengths without a value",
+    ),
+    "deviations of zero": ("nm,R,sd\n" + rows(",", GRID, R, 0 * R), {}, False, "of zero are none"),
+    "relative": ("nm,R,rel. sd (%)\n" + rows(",", GRID, R, 3 + 0 * R), {}, True, ""),
+    "k = 2": ("nm,R,u (k=2)\n" + rows(",", GRID, R, 2 * SD), {}, True, ""),
+    "Portuguese": (
+        "Comprimento de onda (nm);Refletância (%);Desvio padrão\n"
+        + rows(";", GRID, 100 * R, 100 * SD, decimal=","),
+        {},
+        True,
+        "",
+    ),
+    "quartiles": (
+        "nm,median,Q1,Q3,95% CI\n" + rows(",", GRID, R, 0.9 * R, 1.1 * R, R), {}, False, "'Q1', 'Q3'"
+    ),
+    "minus a logarithm": ("nm,-log10(R)\n" + rows(",", GRID, -np.log10(R)), {}, False, "absorbance"),
+    "absorbance units": (
+        "Wavelength [nm],Sample,Dark,Reference,Absorbance [A.U.]\n"
+        + rows(",", GRID, 900 + R, 900 + 0 * R, 3e4 + R, -np.log10(R)),
+        {},
+        False,
+        "absorbance",
+    ),
+    "a ratio": (
+        "nm,eye,white,eye/white\n" + rows(",", GRID, 0.5 * R, 0.5 + 0 * R, R), {}, False, "'eye/white' used"
+    ),
+    "a wavelength in two units": (
+        "Wavelength;Wavenumber;Dark;%R\n" + rows(";", GRID, 1e7 / GRID, 900 + R, 100 * R), {}, False, ""
+    ),
+    "decimal commas in quotes": (
+        '"nm","R%"\n' + "\n".join(f'"{x}","{100 * y:.6g}"'.replace(".", ",") for x, y in zip(GRID, R, strict=True)),
+        {},
+        False,
+        "",
+    ),
+    "scans of a numbered eye": (
+        "nm,eye1 0001,eye1 0002\n" + rows(",", GRID, 1.1 * R, 0.9 * R), {}, True, "mean of 2 scans"
+    ),
+    "names two lines above": (
+        "file,a.asd,b.asd\nunit,Reflectance,Reflectance\n" + rows(",", GRID, R, 2 * R),
+        {"column": "a.asd"},
+        False,
+        "'a.asd Reflectance' used",
+    ),
 }  # fmt: skip
 
 
@@ -409,6 +480,10 @@ def test_an_excel_file_holds_one_table(tmp_path):
         ("eye.asd", b"ASD\0\1\2", "ASD's binary format is not read; .* ASCII Export"),
         ("eye.spc", b"\0\x4b\0\1", "binary format SPC is not read; .* JCAMP-DX"),
         ("eye.xls", b"\xd0\xcf\x11\xe0\0\1", "Excel's old format"),
+        ("eye.ods", b"PK" + bytes(28) + b"mimetypeapplication/vnd.oasis", "OpenDocument"),
+        ("eye.h5", b"\x89HDF\r\n", "HDF5 is not read"),
+        ("eye.mat", b"MATLAB 5.0 MAT-file", "MATLAB's binary format"),
+        ("eye.zip", b"PK\3\4", "not readable as an Excel file"),
         ("eye.dat", b"\0\1\2\3", "not a text file; export the spectrum as text"),
         ("eye.xlsx", b"PK\3\4\0", "not readable as an Excel file"),
     ],
@@ -427,6 +502,14 @@ def test_binary_formats_are_named(tmp_path, name, data, message):
         "nm,R SCI,R SCE\n" + rows(",", GRID, R, R),
         rows(" ", GRID, R, SD),
         cary(("Sample 1", R), ("Sample 2", 2 * R)),
+        "nm,R raw,R smoothed\n" + rows(",", GRID, R, R),
+        "nm,R 0°,R 15°\n" + rows(",", GRID, R, 1.1 * R),
+        "nm,scan 1,scan 2\n" + rows(",", GRID, R, 3 * R),
+        "nm,P01,P01_sd,P02,P02_sd\n" + rows(",", GRID, R, SD, 1.1 * R, SD),
+        "Name,Specular,"
+        + ",".join(f"{x:.0f}nm" for x in GRID)
+        + "\n"
+        + "\n".join(f"eye,{kind}," + ",".join(f"{v:.6g}" for v in R) for kind in ("SCI", "SCE")),
     ],
 )
 def test_columns_of_several_things_are_no_scans(tmp_path, text):
@@ -459,6 +542,9 @@ def test_eyes_with_their_standard_deviations(tmp_path):
     assert list(found) == ["left", "right"]
     np.testing.assert_allclose(found["left"].sd, SD, rtol=1e-4)
     np.testing.assert_allclose(found["right"].sd, 2 * SD, rtol=1e-4)
+    text = "nm,left mean,left SEM\n" + rows(",", GRID, R, SD)
+    (eye,) = io.read_eyes(written(tmp_path, text)).values()
+    np.testing.assert_allclose(eye.sd, SD, rtol=1e-4)
     names = ",".join(f"{x:.0f}nm" for x in GRID)
     each = [",".join(f"{v:.6g}" for v in scale * R) for scale in (1.01, 0.99, 0.8)]
     text = f"No.,Name,{names}\n1,OD,{each[0]}\n2,OD,{each[1]}\n3,OS,{each[2]}\n"
@@ -492,8 +578,19 @@ BOTH = ",".join(f"{kind} {x:.0f}nm" for kind in ("SCI", "SCE") for x in X)
         (jcamp("ARBITRARY UNITS", Y), "holds arbitrary units, not a reflectance"),
         (jcamp("COUNTS", COUNTS), "holds counts"),
         (f"No.,{BOTH}\n1{',3.1' * 6}{',2.9' * 6}", "'SCI' .*'SCE' .* choose with --column NAME"),
-        ("", "no numbers"),
-        ("only,a,header\n", "no numbers"),
+        ("", "no rows of numbers"),
+        ("only,a,header\n", "no rows of numbers"),
+        ("THz,R\n" + rows(",", X, Y), "column 'THz' is no wavelength; convert it to one of nm"),
+        ("pixel,R\n" + rows(",", X, Y), "column 'pixel' is no wavelength"),
+        ("nm,eye,white\n" + rows(",", X, Y, 1 + Y), "beside 'white' the others may be counts"),
+        ("nm,ln(1/R)\n" + rows(",", X, -np.log(Y)), "a natural logarithm; divide it by 2.302585"),
+        ("nm,OD\n" + rows(",", X, 100 * Y), "an optical density or the right eye; give"),
+        ("nm,mu_a (1/mm)\n" + rows(",", X, Y), "holds no reflectance; where it is one, give"),
+        ("nm,signal (mV)\n" + rows(",", X, Y), "holds no reflectance"),
+        ("nm,BRDF (1/sr)\n" + rows(",", X, Y), "holds no reflectance"),
+        ("nm,R,sd (%)\n" + rows(",", X, Y, Y), "'sd \\(%\\)' is beside a fraction"),
+        ("nm,R (‰)\n" + rows(",", X, 1000 * Y), "give per cent or fractions"),
+        ("eye_Absorbance_1.txt\n" + rows("\t", X, -np.log10(Y)), "'Absorbance': give --quantity"),
         ("400\n500\n", "line 1: one column"),
         ("nm,R\n400,0.1\n410,abc\n", "line 3: 'abc' is not a number"),
         ("nm,R\n400,0.1\n410\n", "line 3: 1 values, 2"),
