@@ -11,9 +11,10 @@ import numpy as np
 
 import irisjax as ij
 from irisjax import io
+from irisjax.cli import options as opt
 from irisjax.cli import report
 from irisjax.cli.engine import Lost, Workers, each
-from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler, key_of, process_of
+from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler, process_of
 from irisjax.cli.many import DOUBTFUL, FAILED, OK, EyeRow, EyeTable, csv_of
 from irisjax.cli.sentences import of_the_data, preference
 from irisjax.infer.fit import OFF_PRIOR, Fit, FitStatus, abl_melanin, fit, words_for
@@ -151,7 +152,7 @@ def _fitted(
     """Rows of eyes, and of the covariances of those that can be fitted."""
     rows, covariances = {}, {}
     for chunk, options in chunks:
-        found, more = _fitted_chunk(chunk, seen, options, key_of(seed))
+        found, more = _fitted_chunk(chunk, seen, options, opt.key_of(seed))
         rows |= found
         covariances |= more
     return rows, covariances

@@ -246,12 +246,7 @@ class Sampler(opt.Group, panel="Sampler"):
     @property
     def key(self) -> jax.Array:
         """The key of a run."""
-        return key_of(self.seed)
-
-
-def key_of(seed: int) -> jax.Array:
-    """Return a seed's key; its kind is fixed, whatever the environment prefers."""
-    return jax.random.key(seed, impl="threefry2x32")
+        return opt.key_of(self.seed)
 
 
 class FitResults(opt.Group, panel="Files"):

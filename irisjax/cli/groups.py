@@ -80,7 +80,7 @@ def _check_alike(one: FittedEyes, two: FittedEyes) -> None:
 
 def _compared(one: FittedEyes, two: FittedEyes, seed: int) -> tuple[list[str], list[_Row]]:
     """Remarks, and a row for each parameter."""
-    key = jax.random.key(seed, impl="threefry2x32")
+    key = opt.key_of(seed)
     drawn = one.draws is not None and two.draws is not None
     found = [
         population(e.z, e.covariance, e.draws if drawn else None, key=jax.random.fold_in(key, i))

@@ -139,7 +139,7 @@ def simulate_measurement_command(
         solver=model.exact_solver(rules, eye),
         noise=ij.Noise(*levels),
     )
-    key = jax.random.key(light.seed, impl="threefry2x32")
+    key = opt.key_of(light.seed)
     draw = jax.jit(lambda k: problem.simulate(jnp.zeros(1), k)[0])
     names = [f"scan_{i + 1}" for i in range(light.scans)] if light.scans > 1 else ["reflectance"]
     scans = {n: draw(jax.random.fold_in(key, i)) for i, n in enumerate(names)}

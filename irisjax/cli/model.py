@@ -145,9 +145,8 @@ class SolverOptions(opt.Group, panel="Solver"):
 
     @property
     def key(self) -> jax.Array | None:
-        """The key of a solver that samples; its kind is fixed, whatever the environment prefers."""
-        exact = self.solver == "exact"
-        return None if exact else jax.random.key(self.seed, impl="threefry2x32")
+        """The key of a solver that samples."""
+        return None if self.solver == "exact" else opt.key_of(self.seed)
 
 
 def modelled(options: IrisOptions, rules: ProcessOptions) -> tuple[ij.Iris, AbstractProcess]:

@@ -56,7 +56,7 @@ def simulate_cube_command(
     folder, size = cube.output, cube.size
     check_folder(folder, "cube.hdr", "a cube", cube.overwrite)
     eye, rules = model.modelled(iris, process)
-    grid, key = light.wavelengths.values, jax.random.key(light.seed, impl="threefry2x32")
+    grid, key = light.wavelengths.values, opt.key_of(light.seed)
     truth, inside = _truth(eye, size, key)
     blank = ij.spectrum(grid, np.zeros(grid.size), **light.before_the_iris())
     levels = np.float64(light.relative_noise), np.float64(light.absolute_noise)

@@ -15,6 +15,7 @@ import numpy as np
 from irisjax.io.images import check_image_suffix, encode_png, to_steps
 from irisjax.io.tables import check_writable, naming, write_together
 
+_RATE = 12  # frames a second
 _NUMBER = re.compile(r"%(0\d+)?d")
 
 
@@ -37,16 +38,13 @@ def first_file(path: str | Path) -> Path:
     return _numbered(path, 0) if numbered else path
 
 
-def write_movie(
-    path: str | Path, frames: Iterable[Any], *, rate: int = 12, remark: str = ""
-) -> int:
-    """Write a movie in the form that its suffix names; all of it is written or nothing.
+def write_movie(path: str | Path, frames: Iterable[Any], *, remark: str = "") -> int:
+    """Write a movie of 12 frames a second in the form that its suffix names, whole or not at all.
 
     Args:
         path: `.gif` repeats endlessly; `.mp4` may have any size, odd ones too; `.png` has a number
             in its name, such as `frame_%03d.png`, counted from 0, as ffmpeg expects it.
         frames: Pictures (rows, columns, 3), all of one size.
-        rate: Frames per second.
         remark: Goes into the files' descriptions.
 
     Returns:
@@ -71,22 +69,22 @@ def write_movie(
             raise ValueError("no frames")
 
     with naming(path):
-        write_together(_WRITERS[Path(path).suffix.lower()](Path(path), steps(), rate, remark))
+        write_together(_WRITERS[Path(path).suffix.lower()](Path(path), steps(), remark))
     return clipped
 
 
-def _gif(path: Path, frames: Iterator[np.ndarray], rate: int, remark: str) -> dict[Path, bytes]:
+def _gif(path: Path, frames: Iterator[np.ndarray], remark: str) -> dict[Path, bytes]:
     from PIL import Image as Pillow
 
     pictures = map(Pillow.fromarray, frames)
     buffer = BytesIO()
     more: dict[str, Any] = {"comment": remark.encode()} if remark else {}
-    more |= {"append_images": pictures, "duration": round(100 / rate) * 10}
+    more |= {"append_images": pictures, "duration": round(100 / _RATE) * 10}
     next(pictures).save(buffer, "gif", save_all=True, loop=0, **more)
     return {path: buffer.getvalue()}
 
 
-def _mp4(path: Path, frames: Iterator[np.ndarray], rate: int, remark: str) -> dict[Path, bytes]:
+def _mp4(path: Path, frames: Iterator[np.ndarray], remark: str) -> dict[Path, bytes]:
     import av
 
     buffer = BytesIO()
@@ -98,9 +96,9 @@ def _mp4(path: Path, frames: Iterator[np.ndarray], rate: int, remark: str) -> di
             if stream is None:
                 # Far above what is seen: 1 of 255 levels where colours do not jump.
                 quality = {"crf": "8", "b": "0"}
-                stream = container.add_stream("libvpx-vp9", rate=rate, options=quality)
+                stream = container.add_stream("libvpx-vp9", rate=_RATE, options=quality)
                 stream.height, stream.width = steps.shape[:2]
-                stream.pix_fmt, stream.time_base = "yuv420p", Fraction(1, rate)
+                stream.pix_fmt, stream.time_base = "yuv420p", Fraction(1, _RATE)
                 context = stream.codec_context  # BT.709 with sRGB's transfer function, in [16, 235]
                 context.colorspace, context.color_primaries = 1, 1
                 context.color_trc, context.color_range = 13, 1
@@ -112,8 +110,7 @@ def _mp4(path: Path, frames: Iterator[np.ndarray], rate: int, remark: str) -> di
     return {path: buffer.getvalue()}
 
 
-def _pngs(path: Path, frames: Iterator[np.ndarray], rate: int, remark: str) -> dict[Path, bytes]:
-    del rate
+def _pngs(path: Path, frames: Iterator[np.ndarray], remark: str) -> dict[Path, bytes]:
     # Values of 8 bits pass a PNG unchanged.
     return {
         _numbered(path, number): encode_png(path, steps / 255, remark=remark)[0]

@@ -22,17 +22,12 @@ _LEAST = 1e-7  # share of a band's light below which a wavelength is left out
 _SIGMA = 1 / np.sqrt(8 * np.log(2))  # of a Gaussian, in full widths at half maximum
 
 
-def _above(x: np.ndarray, power: int) -> np.ndarray:
-    return np.maximum(x, 0.0) ** power
-
-
 # Second antiderivatives of a band's shape, both in full widths from its centre.
 _TWICE_INTEGRATED = {
     "gaussian": lambda x: (
         x * ndtr(x / _SIGMA) + _SIGMA * np.exp(-0.5 * (x / _SIGMA) ** 2) / np.sqrt(2 * np.pi)
     ),
-    "triangle": lambda x: (_above(x + 1, 3) - 2 * _above(x, 3) + _above(x - 1, 3)) / 6,
-    "boxcar": lambda x: (_above(x + 0.5, 2) - _above(x - 0.5, 2)) / 2,
+    "boxcar": lambda x: (np.maximum(x + 0.5, 0) ** 2 - np.maximum(x - 0.5, 0) ** 2) / 2,
 }
 
 
@@ -59,8 +54,8 @@ class Passbands(eqx.Module):
         Args:
             wavelengths: Centres, nm, increasing.
             width: Full width at half maximum, nm, of all bands or of each.
-            shape: Of the slit: `"gaussian"`; `"triangle"`, two equal slits; `"boxcar"`, the moving
-                average of some instruments' programs.
+            shape: Of the slit: `"gaussian"`, or `"boxcar"`, the moving average of some instruments'
+                programs.
 
         Raises:
             ValueError: For a width or shape out of range.

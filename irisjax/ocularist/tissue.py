@@ -74,11 +74,9 @@ def reflectance_of(
 def nearest_tissue(
     painting: Painting,
     eye: Eye,
-    iris: Iris | None = None,
     *,
     shape: tuple[int, int] = TEXTURE_SHAPE,
     exposure: float | None = None,
-    integrator: Separable | RadiativeIntegrator | None = None,
 ) -> Tissue:
     """Find maps of both melanins and of the stroma's thickness that look most like paint in plan
     view.
@@ -90,22 +88,20 @@ def nearest_tissue(
     Args:
         painting: The painted iris.
         eye: Whose iris was painted.
-        iris: What the maps are relative to; by default `Iris()`.
         shape: (angles, radii) of the maps.
         exposure: Factor on the tissue's reflectance before the two are compared; by default the
             one, from 1 to 64, that leaves the least mean difference.
-        integrator: For the tissue's colours; ILIT's by default.
 
     Raises:
         ValueError: as for `texture_of`, and for an exposure out of range.
     """
     check_range("exposure", exposure, _EXPOSURE)
-    iris = Iris() if iris is None else iris
+    iris = Iris()
     paint = texture_of(painting, eye, shape)
     wanted = np.asarray(lab(paint), np.float64).reshape(-1, 3)
     scales = np.stack(np.meshgrid(EUMELANIN, PHEOMELANIN, STROMA, indexing="ij"), -1)
     tried = _maps(scales.reshape(len(EUMELANIN), -1, 3), iris)
-    colours = reflectance_of(iris, tried, eye, integrator).reshape(-1, 3)
+    colours = reflectance_of(iris, tried, eye).reshape(-1, 3)
     scales = scales.reshape(-1, 3)
     if exposure is None:
         some = wanted[:: max(1, len(wanted) // _TEXELS)]
@@ -113,7 +109,7 @@ def nearest_tissue(
         exposure = float(_EXPOSURES[int(np.argmin(costs))])
     chosen = _nearest(wanted, colours, scales, exposure)[1]
     maps = _maps(scales[chosen].reshape(*shape, 3), iris)
-    again = reflectance_of(iris, maps, eye, integrator) * as_float(exposure)
+    again = reflectance_of(iris, maps, eye) * as_float(exposure)
     return Tissue(iris, maps, float(exposure), difference(again, paint.astype(again.dtype)))
 
 

@@ -1,39 +1,26 @@
-"""Mueller matrices of smooth interfaces and turned frames, and Stokes vectors of filters.
+"""Mueller matrices of turned frames, and Stokes vectors of filters.
 
 Stokes vectors are (I, Q, U, V): Q is the intensity of the field along a ray's first axis less that
 along its second, U that along the diagonal between them less that across it, V = 2 Im(E_1 E_2*)
-with fields ∝ e^{−iωt}; the axes and the ray are right-handed in this order. At an interface the
-first axis lies in the plane of incidence. [Chandrasekhar 1960, Section 15]
+with fields ∝ e^{−iωt}; the axes and the ray are right-handed in this order. [Chandrasekhar 1960,
+Section 15]
 """
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from irisjax._types import Real
-from irisjax.optics.fresnel import coherence, fresnel_p, fresnel_s, refract
-
 _TO_STOKES = np.array([[1.0, 1, 0, 0], [1, -1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
 _TO_INTENSITIES = np.linalg.inv(_TO_STOKES)
 
 
-def reflection(cos_in: Float[Array, "*s"], n_in: Real, n_out: Real) -> Float[Array, "*s 4 4"]:
-    """Of flux that a smooth interface mirrors, total reflection included. [Fresnel]"""
-    cos_out = refract(cos_in, n_in, n_out)
-    p, s = (law(cos_in, cos_out, n_in, n_out)[0] for law in (fresnel_p, fresnel_s))
-    turned = coherence(cos_in, cos_out, n_in, n_out).reflected
-    mean, half, zero = 0.5 * (p + s), 0.5 * (p - s), jnp.zeros_like(p)
-    real, imaginary = jnp.real(turned), jnp.imag(turned)
-    return _matrix((mean, half, zero, zero), (half, mean, zero, zero),
-                   (zero, zero, real, -imaginary), (zero, zero, imaginary, real))  # fmt: skip
-
-
 def rotation(angle: Float[Array, "*s"]) -> Float[Array, "*s 4 4"]:
-    """Into axes turned by `angle` (radians) from the first towards the second."""
+    """Matrix into axes turned by `angle` (radians) from the first towards the second."""
     c, s = jnp.cos(2 * angle), jnp.sin(2 * angle)
     one, zero = jnp.ones_like(c), jnp.zeros_like(c)
-    return _matrix((one, zero, zero, zero), (zero, c, s, zero), (zero, -s, c, zero),
-                   (zero, zero, zero, one))  # fmt: skip
+    rows = ((one, zero, zero, zero), (zero, c, s, zero), (zero, -s, c, zero),
+            (zero, zero, zero, one))  # fmt: skip
+    return jnp.stack([jnp.stack(row, -1) for row in rows], -2)
 
 
 def polarised_at(angle: Float[Array, "*s"]) -> Float[Array, "*s 4"]:
@@ -46,7 +33,3 @@ def stokes(matrix: Float[Array, "*s 4 4"]) -> Float[Array, "*s 4 4"]:
     """A matrix that acts on the intensities along both axes, U and V, as one on I, Q, U, V."""
     to, back = (jnp.asarray(x, matrix.dtype) for x in (_TO_STOKES, _TO_INTENSITIES))
     return to @ matrix @ back
-
-
-def _matrix(*rows):
-    return jnp.stack([jnp.stack(row, -1) for row in rows], -2)

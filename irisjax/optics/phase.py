@@ -1,4 +1,4 @@
-"""Phase functions: density, sampler, and azimuth-averaged redistribution of each.
+"""Phase functions: sampler and azimuth-averaged redistribution of each.
 
 Both are even in the scattering angle's cosine, so in a plane layer a ray scatters up and down
 alike: the redistribution k(μ, μ') needs cosines in (0, 1] only, with ∫₀¹ k(μ, μ') dμ' = ½.
@@ -40,10 +40,6 @@ class AbstractPhase(eqx.Module):
     """A phase function symmetric between forward and backward."""
 
     @abc.abstractmethod
-    def angle_density(self, alpha: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """Compute the probability density of the deflection angle per radian on [0, π]."""
-
-    @abc.abstractmethod
     def sample_cosine(self, u: Float[Array, "*s"]) -> Float[Array, "*s"]:
         """Compute the cosine of the deflection angle at a quantile in [0, 1].
 
@@ -73,10 +69,6 @@ class Rayleigh(AbstractPhase):
     Its azimuth average is ½(1 + ½ P₂(μ) P₂(μ')), which two moments represent exactly.
     """
 
-    def angle_density(self, alpha: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """¾(1 + cos²α)·½ sin α."""
-        return 0.5 * rayleigh(jnp.cos(alpha)) * jnp.sin(alpha)
-
     def sample_cosine(self, u: Float[Array, "*s"]) -> Float[Array, "*s"]:
         """Compute the root of c³ + 3c = 4(2u − 1), to 8e-8."""
         return _odd_rational(u, _RAYLEIGH_INVERSE)
@@ -93,10 +85,6 @@ class RayleighPerAngle(AbstractPhase):
     It lacks the sin α of the solid angle, so the density on the sphere diverges as 1/sin α straight
     ahead and straight back, and the azimuth average has a logarithmic singularity at μ = μ'.
     """
-
-    def angle_density(self, alpha: Float[Array, "*s"]) -> Float[Array, "*s"]:
-        """(1 + cos²α)/(3π/2)  [LB06 Section 3.4]."""
-        return (1 + jnp.cos(alpha) ** 2) / (1.5 * jnp.pi)
 
     def sample_cosine(self, u: Float[Array, "*s"]) -> Float[Array, "*s"]:
         """Compute the cosine at which (α + (α + sin α cos α)/2)/(3π/2) = 1 − u, to 4e-7."""

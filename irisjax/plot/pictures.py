@@ -47,12 +47,12 @@ def picture(figure: "Figure", suffix: str) -> bytes:
     return out.getvalue()
 
 
-def swatch(srgb8: tuple[int, int, int], remark: str = "", size: int = 256) -> bytes:
+def swatch(srgb8: tuple[int, int, int], remark: str = "") -> bytes:
     """PNG of one 8-bit sRGB colour; the remark goes into its description."""
     from matplotlib.image import imsave
 
     out = io.BytesIO()
-    pixels = np.broadcast_to(np.asarray(srgb8, np.uint8), (size, size, 3))
+    pixels = np.broadcast_to(np.asarray(srgb8, np.uint8), (256, 256, 3))
     imsave(out, pixels, format="png", metadata={"Description": remark, "Software": "irisjax"})
     return out.getvalue()
 

@@ -11,7 +11,6 @@ from irisjax import io
 GRID = ij.wavelengths(440, 680, 40)
 SHAPES = {
     "gaussian": lambda x: np.exp(-4 * np.log(2) * x**2),
-    "triangle": lambda x: max(1 - abs(x), 0.0),
     "boxcar": lambda x: float(abs(x) <= 0.5),
 }
 FEW = ij.IlitExact(12)
