@@ -25,15 +25,15 @@ from irisjax.transport.light import Light
 from irisjax.transport.radiative import orders
 from irisjax.transport.radiative.directions import (
     MODES,
+    Absorber,
     Mode,
     Ordinates,
-    Roof,
-    ends_of,
+    abl_shares,
+    boundaries,
     from_outside,
     quadrature_nodes,
-    roof_of,
 )
-from irisjax.transport.radiative.orders import ScatteredFates, course, taken_of
+from irisjax.transport.radiative.orders import ScatteredFates, angular_profile, taken_of
 from irisjax.transport.radiative.slab import Bounded, Slab
 from irisjax.transport.radiative.tabulated import (
     DEEPEST,
@@ -231,7 +231,7 @@ def after(
     """
     slab, mode = Slab(depth, *how), MODES[0]
     first, again = _scattered(slab, mode, abl, albedo, nodes, beams, mode.functions(beams.cosine))
-    roof, angle = _bounded(slab, abl, nodes)
+    upper, angle = _bounded(slab, abl, nodes)
     top, bottom = slab.leaving_each(angle, mode.parity)
     strength = jnp.asarray(mode.strength, depth.dtype)[:, None]
     flux = strength * mode.functions(nodes.cosine) * (nodes.weight * nodes.cosine)[None, :]
@@ -240,8 +240,8 @@ def after(
         return ((flux * taken[None, :]) @ leaving.T).ravel() @ first
 
     return ScatteredFates(
-        out=share(top, roof.passed),
-        abl=share(top, roof.absorbed),
+        out=share(top, upper.passed),
+        abl=share(top, upper.absorbed),
         ipe=share(bottom, nodes.bottom[1]),
         collisions=slab.total(again[0]),
     )
@@ -281,7 +281,7 @@ def _scattered(slab: Slab, mode: Mode, abl, albedo, nodes: Ordinates, beams: Ord
     strength = jnp.asarray(mode.strength, slab.depth.dtype)
     operator = slab.moments(angle, nodes.weight, mode.functions(nodes.cosine), mode.parity)
     operator = operator * jnp.repeat(strength, operator.shape[0] // strength.size)[None, :]
-    lost = course(abl, slab.depth, beams).lost
+    lost = angular_profile(abl, slab.depth, beams).lost
     each = slab.driving_each(beam, mode.parity) / (beams.cosine * lost)[None]
     driving = (f_beams[:, None] * each[None]).reshape(-1, beams.cosine.size)
     one = jnp.eye(driving.shape[0], dtype=slab.depth.dtype)
@@ -289,10 +289,10 @@ def _scattered(slab: Slab, mode: Mode, abl, albedo, nodes: Ordinates, beams: Ord
     return first, (operator @ first).reshape(strength.size, -1, beams.cosine.size)
 
 
-def _bounded(slab: Slab, abl, d: Ordinates) -> tuple[Roof, Bounded]:
+def _bounded(slab: Slab, abl, d: Ordinates) -> tuple[Absorber, Bounded]:
     """The ABL and the slab under it along directions."""
-    roof = roof_of(abl, d)
-    return roof, slab.bounded(d.cosine, ends_of(roof, d))
+    upper = abl_shares(abl, d)
+    return upper, slab.bounded(d.cosine, *boundaries(upper, d))
 
 
 if __name__ == "__main__":

@@ -153,26 +153,26 @@ def with_epithelium(
     assert layers.ipe_absorption is not None
     # The epithelium is a layer as the ABL is, turned over: it has aqueous humour on its far side.
     turned = RefractiveIndices(n.aqueous, n.ipe, n.stroma, n.abl)
-    _, floor = abl_responses(layers.ipe_absorption, turned, Order(), process, n_angles)
+    _, beyond = abl_responses(layers.ipe_absorption, turned, Order(), process, n_angles)
     below = dataclasses.replace(
         layers,
         indices=turned,
         order=Order(stroma_over_abl=order.stroma_over_ipe, stroma_over_ipe=order.stroma_over_abl),
     )
     upwards, converged = stroma_response(below, process, n_angles)
-    kept = floor.passed + floor.absorbed
+    kept = beyond.passed + beyond.absorbed
     # 1 − R R' as a sum of losses.
-    lost = kept + floor.reflected * (upwards.passed + upwards.absorbed)
+    lost = kept + beyond.reflected * (upwards.passed + upwards.absorbed)
     sealed = lost <= 0
     entered = stroma.passed / jnp.where(sealed, 1.0, lost)
-    back = entered * floor.reflected
+    back = entered * beyond.reflected
     fates = LayerFates(
         reflected=stroma.reflected + back * upwards.passed,
         passed=entered * kept,
         absorbed=stroma.absorbed + back * upwards.absorbed,
     )
     none = kept <= 0
-    return fates, jnp.where(none, 0.0, floor.passed / jnp.where(none, 1.0, kept)), converged
+    return fates, jnp.where(none, 0.0, beyond.passed / jnp.where(none, 1.0, kept)), converged
 
 
 def _scattered(process: Ilit, rule: CosineRule, first, again, rest, layers: Layers):

@@ -28,15 +28,16 @@ from irisjax.transport.radiative.directions import (
     BeamsAndExits,
     Ordinates,
     beams_and_exits,
+    boundaries,
     gauss_nodes,
     over_epithelium,
 )
 from irisjax.transport.radiative.doubling import Lines, Medium, Response, doubled_from
 from irisjax.transport.radiative.expansion import phase_matrices, series_value
 from irisjax.transport.radiative.orders import (
-    Course,
+    AngularProfile,
+    angular_profile,
     before,
-    course,
     single_scattering,
     with_scattered,
 )
@@ -133,11 +134,11 @@ def _one_wavelength(
     scattering = scattering * (1 - peak)
     depth = absorption + scattering
     albedo, coalbedo = share_of(scattering, depth, 0.0), share_of(absorption, depth, 1.0)
-    way, seen = course(abl, depth, beams), course(abl, depth, nodes)
+    lit_by, seen = (angular_profile(abl, depth, d) for d in (beams, nodes))
     # Of all mirror images of the beams: radiance downwards at the top, upwards at the bottom.
     unscattered = before(abl, depth, beams)
-    falling = power * unscattered.entered * way.series / beams.cosine
-    beamed = jnp.concatenate([falling, falling * way.back])
+    falling = power * unscattered.entered * lit_by.series / beams.cosine
+    beamed = jnp.concatenate([falling, falling * lit_by.back])
     lines = Lines(
         nodes.cosine if exits is None else jnp.concatenate([nodes.cosine, exits.cosine]),
         jnp.concatenate([nodes.cosine, beams.cosine]),
@@ -156,7 +157,7 @@ def _one_wavelength(
     absorbed, (up, down, again, _) = jax.tree.map(lambda x: x[0], each)
     brdf = None
     if exits is not None:
-        leave = course(abl, depth, exits)
+        leave = angular_profile(abl, depth, exits)
         top, bottom = each[1][3][..., count:].swapaxes(0, 1)
         of = np.arange(count)[:, None]
         cosines = jnp.cos(jnp.asarray(of, lit.azimuth.dtype) * lit.azimuth[None])
@@ -167,20 +168,22 @@ def _one_wavelength(
             return phase.value(cosine) / (1 - peak) - series_value(moments, cosine)
 
         total += single_scattering(abl, depth, albedo, beams, exits, lit.azimuth, left_out)
-        brdf = total * leave.roof.passed * lit.to_brdf
+        brdf = total * leave.abl.passed * lit.to_brdf
     of_beams = jnp.tile(absorbed[count:], 2) @ beamed
     stroma = of_beams + jnp.tile(absorbed[:count], 2) @ again
-    flux = with_scattered(unscattered, power, nodes, seen.roof, up, down, stroma)
+    flux = with_scattered(unscattered, power, nodes, seen.abl, up, down, stroma)
     return flux._replace(brdf=brdf)
 
 
-def _between(slab: Response, beamed, seen: Course, nodes: Ordinates, depth):
-    """The scattered light of beams in a slab between its roof and its floor: radiance at the nodes
-    up at its top and down at its bottom; what of it roof and floor send back in (2·nodes,); what
-    the slab itself sends along its rows to the top and to the bottom (2, rows).
+def _between(slab: Response, beamed, seen: AngularProfile, nodes: Ordinates, depth):
+    """Scattered light of beams in a slab between its boundaries.
+
+    Returns the radiance at the nodes, up at its top and down at its bottom; the radiance that the
+    boundaries send back in (2·nodes,); and that which the slab itself sends along its rows to the
+    top and to the bottom (2, rows).
     """
     n = nodes.cosine.size
-    roof, floor = nodes.top[0] + seen.roof.reflected, nodes.bottom[0]
+    upper, lower = (share[0] for share in boundaries(seen.abl, nodes))
     through = survival(depth, nodes.cosine)
     # Rows: to the top, to the bottom. Columns: from above, from below.
     whole = jnp.stack([slab.back, slab.on]), jnp.stack([slab.on, slab.back])
@@ -188,7 +191,7 @@ def _between(slab: Response, beamed, seen: Course, nodes: Ordinates, depth):
     operator = jnp.concatenate([x[..., :n] for x in whole], axis=-1)
     # Unscattered from end to end, back and forth, light keeps its direction.
     images = seen.series[None, None] * jnp.stack(
-        [jnp.stack([roof, roof * through * floor]), jnp.stack([floor * through * roof, floor])]
+        [jnp.stack([upper, upper * through * lower]), jnp.stack([lower * through * upper, lower])]
     )
 
     inner = operator[:, :n].reshape(2 * n, 2, n)
@@ -197,6 +200,6 @@ def _between(slab: Response, beamed, seen: Course, nodes: Ordinates, depth):
     emitted = linear.solve(one - back, from_beams[:, :n].reshape(2 * n))
     again = (images * emitted.reshape(1, 2, n)).sum(1).ravel()
     top, bottom = emitted.reshape(2, n)
-    up = seen.series * (top + through * floor * bottom)
-    down = seen.series * (bottom + through * roof * top)
+    up = seen.series * (top + through * lower * bottom)
+    down = seen.series * (bottom + through * upper * top)
     return up, down, again, from_beams + operator @ again

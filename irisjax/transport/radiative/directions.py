@@ -1,4 +1,4 @@
-"""Directions in the stroma, what each meets at the interfaces, and Rayleigh's modes in azimuth."""
+"""Directions in the stroma with the interfaces along each, and Rayleigh's modes in azimuth."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
@@ -9,11 +9,10 @@ import numpy as np
 
 from irisjax.numerics.quadrature import conserving, cosine_rule, quadratic_rule
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refract, refracted
+from irisjax.optics.fresnel import Shares, critical_cosine_squared, fresnel, refract, refracted
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light, beams_of
 from irisjax.transport.process import attenuation, reflections, survival
-from irisjax.transport.radiative.slab import Ends
 
 
 class Mode(NamedTuple):
@@ -37,16 +36,16 @@ class Mode(NamedTuple):
 
 MODES = (Mode(0, 1, (0.5, 0.25)), Mode(1, -1, (0.375,)), Mode(2, 1, (0.09375,)))
 Law: TypeAlias = Callable[..., tuple[jax.Array, ...]]
-"""Functions that say what an interface does with light, as those of `optics.fresnel` do."""
+"""A law of interfaces, with the arguments of `optics.fresnel.fresnel`."""
 
 
 class Ordinates(NamedTuple):
-    """Directions in the stroma with what each meets at the interfaces, all of shape (angles,).
+    """Directions in the stroma and the interfaces that light along each meets, shape (angles,).
 
-    At an interface: reflectance and transmittance, or what else the law of the interfaces gives.
-    The last three are of a pigment epithelium that lets light through, otherwise `None`; over it
-    (`over_epithelium`) `bottom` is that of the whole of it, and `through` the share of what enters
-    it for good that leaves it behind.
+    `top`, `surface`, `bottom` and `behind` are results of the law of the interfaces, such as
+    reflectance and transmittance. The last three fields are `None` over a black epithelium. After
+    `over_epithelium`, `bottom` includes the whole epithelium, and `through` is the share of the
+    light that enters it for good and leaves it behind.
     """
 
     cosine: jax.Array
@@ -75,9 +74,10 @@ class BeamsAndExits(NamedTuple):
     to_brdf: jax.Array
 
 
-class Roof(NamedTuple):
-    """A layer that only absorbs, such as the ABL seen from the stroma: shares of the flux that
-    falls on it, `reflected` beyond its first interface's own reflectance.
+class Absorber(NamedTuple):
+    """Shares of the flux on a layer that absorbs without scattering, such as the ABL.
+
+    `reflected` does not include the reflectance of its first interface.
     """
 
     reflected: jax.Array
@@ -133,9 +133,9 @@ def beams_and_exits(
     return BeamsAndExits(ordinates(layers, outside), outside, power, exits, azimuth, to_brdf)
 
 
-def roof_of(depth: jax.Array, d: Ordinates, *, from_stroma: bool = True) -> Roof:
-    """The ABL of optical depth `depth` along directions, seen from the stroma or the aqueous
-    humour.
+def abl_shares(depth: jax.Array, d: Ordinates, *, from_stroma: bool = True) -> Absorber:
+    """Shares of light that meets an ABL of this optical depth from the stroma, or else from the
+    aqueous humour.
     """
     near, far = (d.top, d.surface) if from_stroma else (d.surface, d.top)
     return _absorber(depth, d.abl_cosine, near, far)
@@ -156,28 +156,30 @@ def over_epithelium(ipe: jax.Array | None, d: Any) -> Any:
     )
 
 
-def _absorber(depth: jax.Array, cosine: jax.Array, near: Any, far: Any) -> Roof:
+def _absorber(depth: jax.Array, cosine: jax.Array, near: Any, far: Any) -> Absorber:
     t, lost = survival(depth, cosine), attenuation(depth, cosine)
     series, sealed = reflections(t, lost, near, far)
     # What can neither leave nor be absorbed counts as absorbed, the limit of least absorption.
     absorbed = jnp.where(sealed, 1.0, lost * (1 + t * far[0]) * series)
     back, out = t * t * far[0] * near[1] * series, t * far[1] * series
-    return Roof(near[1] * back, near[1] * out, near[1] * absorbed)
+    return Absorber(near[1] * back, near[1] * out, near[1] * absorbed)
 
 
-def ends_of(roof: Roof, d: Ordinates) -> Ends:
-    """What directions in the stroma meet at its ends, under an ABL that is seen so from there."""
-    return Ends(d.top[0] + roof.reflected, roof.passed + roof.absorbed, *d.bottom)
+def boundaries(abl: Absorber, d: Ordinates) -> tuple[Shares, Shares]:
+    """Shares that the upper and the lower boundary of the stroma reflect and pass along directions;
+    `abl`: those of the ABL, from the stroma.
+    """
+    return (d.top[0] + abl.reflected, abl.passed + abl.absorbed), d.bottom
 
 
 def joined_sets(*sets: Any) -> Any:
-    """All directions of several sets, for one fused loop; sets may be `None`."""
+    """Join several sets of directions, so that one fused loop serves all; sets may be `None`."""
     found = [d for d in sets if d is not None]
     return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1), *found)
 
 
 def parted(tree: Any, *sets: Any) -> list[Any]:
-    """What belongs to each set of directions, of arrays over all of them: `joined_sets` undone."""
+    """Split arrays over joined sets into those of each set: the inverse of `joined_sets`."""
     ends = np.cumsum([d.cosine.size for d in sets if d is not None])[:-1].tolist()
     leaves, structure = jax.tree.flatten(tree)
     parts = zip(*(jnp.split(x, ends, axis=-1) for x in leaves), strict=True)

@@ -29,13 +29,13 @@ from irisjax.transport.radiative.directions import (
     BeamsAndExits,
     Mode,
     Ordinates,
+    abl_shares,
     beams_and_exits,
-    ends_of,
+    boundaries,
     joined_sets,
     over_epithelium,
     parted,
     quadrature_nodes,
-    roof_of,
 )
 from irisjax.transport.radiative.orders import before, conserving_order
 from irisjax.transport.radiative.polarised.exact import solve_polarised
@@ -113,10 +113,10 @@ def _one_wavelength(
     nodes, beams, exits = (over_epithelium(ipe, d) for d in (nodes, lit.beams, lit.exits))
     # All directions together, so that one fused loop serves them.
     everywhere = joined_sets(nodes, beams, exits)
-    roof = roof_of(abl, everywhere)
-    bounded = slab.bounded(everywhere.cosine, ends_of(roof, everywhere))
+    upper = abl_shares(abl, everywhere)
+    bounded = slab.bounded(everywhere.cosine, *boundaries(upper, everywhere))
     angle, beam, *exit_ = parted(bounded, nodes, beams, exits)
-    roof, _, *roof_exit = parted(roof, nodes, beams, exits)
+    upper, _, *upper_exit = parted(upper, nodes, beams, exits)
     first = jax.tree.map(lambda x: x[None], before(abl, depth, beams))
     entering = lit.power[None] * first.entered / beams.cosine[None]
 
@@ -137,7 +137,7 @@ def _one_wavelength(
 
     strength, system, driving = equations(MODES[0])
     source = strength[:, None] * MODES[0].functions(nodes.cosine)
-    equation, along = (source, system, driving[..., None]), (angle, nodes, roof)
+    equation, along = (source, system, driving[..., None]), (angle, nodes, upper)
     moments, flux = conserving_order(slab, coalbedo, *equation, *along, first, lit.power)
     if exits is None:
         return flux
@@ -146,4 +146,4 @@ def _one_wavelength(
         strength, system, driving = equations(mode)
         moments = linear.solve(system, driving.reshape(-1)).reshape(driving.shape)
         total += leaving(mode, strength, moments)
-    return flux._replace(brdf=total * roof_exit[0].passed * lit.to_brdf)
+    return flux._replace(brdf=total * upper_exit[0].passed * lit.to_brdf)

@@ -1,9 +1,9 @@
-"""Light by orders of scattering in the stroma: not scattered, scattered once, and oftener.
+"""Light by orders of scattering in the stroma: unscattered, scattered once, or more often.
 
-What a beam does before it is scattered has a closed form, and so has a BRDF of light scattered
-once; what follows is smooth in the depths, the albedo and the directions, and is what tables of
-radiative transfer hold. All directions are in the stroma; each carries its mirror images at the
-slab's ends.
+The unscattered part of a beam has a closed form, and so has the BRDF of light scattered once. The
+rest is smooth in the depths, the albedo and the directions; tables of radiative transfer contain
+it. All directions are in the stroma, and each includes its mirror images at the stroma's
+boundaries.
 """
 
 from collections.abc import Callable
@@ -14,18 +14,30 @@ import jax.numpy as jnp
 
 from irisjax.optics.phase import rayleigh
 from irisjax.transport.process import attenuation, reflections, survival
-from irisjax.transport.radiative.directions import MODES, Ordinates, Roof, ends_of, roof_of
+from irisjax.transport.radiative.directions import (
+    MODES,
+    Absorber,
+    Ordinates,
+    abl_shares,
+    boundaries,
+)
 from irisjax.transport.radiative.slab import Bounded, Slab, mean_survival
 from irisjax.transport.solution import Flux
 
 
 class Beam(NamedTuple):
-    """Shares of light that falls on the iris, before any of it is scattered; shape (beams,).
+    """Fate of light that falls on the iris, up to its first scattering; shares of shape (beams,).
 
-    `mirrored` at the first surface; `reflected` by the inner interfaces and out again; `abl`,
-    absorbed there; `lost` to the stroma, absorbed or scattered in it; `passed` into the IPE. They
-    sum to one. `entered`: the share that comes to the stroma's top for the first time; `behind`:
-    the share that leaves the IPE behind, or `None`.
+    The first five sum to one.
+
+    Attributes:
+        mirrored: Reflected by the first surface.
+        reflected: Reflected by the inner interfaces, and out again.
+        abl: Absorbed in the ABL.
+        lost: Absorbed or scattered in the stroma.
+        passed: Passed into the IPE.
+        entered: Arriving at the stroma's top for the first time.
+        behind: Leaving the IPE behind, or `None`.
     """
 
     mirrored: jax.Array
@@ -37,21 +49,25 @@ class Beam(NamedTuple):
     behind: jax.Array | None
 
 
-class Course(NamedTuple):
-    """Of directions in the stroma, shape (angles,): the sum over all mirror images; the share that
-    comes back from the slab's floor; what of light that enters is lost to the slab; the share that
-    leaves through the ABL.
+class AngularProfile(NamedTuple):
+    """Fate of unscattered light along directions in the stroma, shape (angles,).
+
+    Attributes:
+        series: Sum over all mirror images, see `reflections`.
+        back: Share that comes back to the top from the lower boundary.
+        lost: Share of entering light that the stroma absorbs or scatters.
+        abl: Shares of light that meets the ABL from the stroma.
     """
 
     series: jax.Array
     back: jax.Array
     lost: jax.Array
-    roof: Roof
+    abl: Absorber
 
 
 class ScatteredFates(NamedTuple):
-    """Of light scattered once: shares that leave the iris and that end in the ABL and in the IPE,
-    and the mean number of times that it collides again; shape (beams,).
+    """Fate of light after its first scattering: the shares that leave the iris, end in the ABL and
+    end in the IPE, and the mean number of further collisions; shape (beams,).
     """
 
     out: jax.Array
@@ -65,52 +81,59 @@ def before(abl: jax.Array, depth: jax.Array, beams: Ordinates) -> Beam:
 
     The mirror images of both layers' faces are geometric series.
     """
-    roof_in = roof_of(abl, beams, from_stroma=False)
-    through, way = survival(depth, beams.cosine), course(abl, depth, beams)
-    down = roof_in.passed * way.series
-    up = down * through * way.back
+    entering = abl_shares(abl, beams, from_stroma=False)
+    through, inside = survival(depth, beams.cosine), angular_profile(abl, depth, beams)
+    down = entering.passed * inside.series
+    up = down * through * inside.back
     passed = down * through * beams.bottom[1]
     return Beam(
         mirrored=beams.surface[0],
-        reflected=roof_in.reflected + up * way.roof.passed,
-        abl=roof_in.absorbed + up * way.roof.absorbed,
-        lost=roof_in.passed * way.lost,
+        reflected=entering.reflected + up * inside.abl.passed,
+        abl=entering.absorbed + up * inside.abl.absorbed,
+        lost=entering.passed * inside.lost,
         passed=passed,
-        entered=roof_in.passed,
+        entered=entering.passed,
         behind=None if beams.through is None else passed * beams.through,
     )
 
 
-def course(abl: jax.Array, depth: jax.Array, d: Ordinates) -> Course:
-    """`Course` of directions between the ends of a stroma under an ABL of these optical depths."""
-    roof = roof_of(abl, d)
+def angular_profile(abl: jax.Array, depth: jax.Array, d: Ordinates) -> AngularProfile:
+    """`AngularProfile` of a stroma under an ABL of these optical depths."""
+    upper = abl_shares(abl, d)
     through, gone = survival(depth, d.cosine), attenuation(depth, d.cosine)
-    ends = ends_of(roof, d)
-    series, _ = reflections(through, gone, ends[:2], ends[2:])
+    series, _ = reflections(through, gone, *boundaries(upper, d))
     back = through * d.bottom[0]
-    return Course(series, back, series * gone * (1 + back), roof)
+    return AngularProfile(series, back, series * gone * (1 + back), upper)
 
 
 def with_scattered(
     beam: Beam,
     power: jax.Array,
     nodes: Ordinates,
-    roof: Roof,
+    upper: Absorber,
     up: jax.Array,
     down: jax.Array,
     stroma: jax.Array,
 ) -> Flux:
-    """Where light goes: unscattered light of beams with these shares of its `power`, and scattered
-    light with radiances `up` at the stroma's top and `down` at its bottom along the nodes.
+    """Sum the fates of unscattered and of scattered light.
+
+    Args:
+        beam: Fates of the beams before scattering.
+        power: Shares of the light in each beam.
+        nodes: Directions of the scattered light.
+        upper: Shares of the ABL along the nodes, from the stroma.
+        up: Radiance of scattered light at the stroma's top, along the nodes.
+        down: The same downwards at its bottom.
+        stroma: Share of the light that the stroma absorbs.
     """
     flux = nodes.weight * nodes.cosine
     into_ipe, behind = down * nodes.bottom[1], None
     if nodes.through is not None and beam.behind is not None:
         behind = power @ beam.behind + flux @ (into_ipe * nodes.through)
     return Flux(
-        reflectance=power @ beam.reflected + flux @ (up * roof.passed),
+        reflectance=power @ beam.reflected + flux @ (up * upper.passed),
         mirrored=power @ beam.mirrored,
-        abl=power @ beam.abl + flux @ (up * roof.absorbed),
+        abl=power @ beam.abl + flux @ (up * upper.absorbed),
         stroma=stroma,
         ipe=power @ beam.passed + flux @ into_ipe,
         behind=behind,
@@ -125,7 +148,7 @@ def conserving_order(
     right: jax.Array,
     angle: Bounded,
     nodes: Ordinates,
-    roof: Roof,
+    upper: Absorber,
     beam: Beam,
     power: jax.Array,
 ) -> tuple[jax.Array, Flux]:
@@ -137,7 +160,7 @@ def conserving_order(
     top, bottom = slab.leaving_each(angle, 1)
     flux = nodes.weight * nodes.cosine
     # What each unknown takes from the light in the slab: absorbed by it, or sent out of it.
-    lost = top * (roof.passed + roof.absorbed)[None] + bottom * nodes.bottom[1][None]
+    lost = top * (upper.passed + upper.absorbed)[None] + bottom * nodes.bottom[1][None]
     taken = (source * flux[None]) @ lost.T
     balance = taken.at[0, :: slab.n_depths].add(coalbedo * slab.widths).ravel()
     columns = right.reshape(balance.size, -1)
@@ -146,7 +169,7 @@ def conserving_order(
     up, down = slab.leaving(angle, source.T @ mean, 1)
     stroma = coalbedo * slab.total(mean[0])
     beam = jax.tree.map(lambda x: x.mean(0), beam)
-    return moments, with_scattered(beam, power, nodes, roof, up, down, stroma)
+    return moments, with_scattered(beam, power, nodes, upper, up, down, stroma)
 
 
 def single_scattering(
@@ -159,12 +182,12 @@ def single_scattering(
     phase: Callable[[jax.Array], jax.Array] = rayleigh,
 ) -> jax.Array:
     """Radiance at the slab's top of light scattered once, shape (exits,), from a beam of flux 1 on
-    the iris: ω p(α)/(2 μ_i μ_o) ∫ exp(−t/μ_i − t/μ_o) dt over its courses, up or down before, up or
+    the iris: ω p(α)/(2 μ_i μ_o) ∫ exp(−t/μ_i − t/μ_o) dt over its paths, up or down before, up or
     down after.
 
     `phase`: p of the scattering angle's cosine; `azimuth` 0 is straight on.
     """
-    before, after = course(abl, depth, beam), course(abl, depth, exits)
+    before, after = (angular_profile(abl, depth, d) for d in (beam, exits))
     cosine, series, back = beam.cosine[0], before.series[0], before.back[0]
     a, b = 1 / cosine, 1 / exits.cosine
     turned = depth * mean_survival(depth * (a + b))
@@ -173,9 +196,9 @@ def single_scattering(
     across = jnp.maximum((1 - cosine**2) * (1 - exits.cosine**2), 0.0)
     sideways, straight = jnp.cos(azimuth) * jnp.sqrt(across), cosine * exits.cosine
     away, on = (phase(c + sideways) for c in (-straight, straight))
-    courses = away * turned * (1 + back * after.back) + on * along * (back + after.back)
-    into = roof_of(abl, beam, from_stroma=False).passed[0] * series
-    return 0.5 * albedo * into * after.series * courses * a * b
+    paths = away * turned * (1 + back * after.back) + on * along * (back + after.back)
+    into = abl_shares(abl, beam, from_stroma=False).passed[0] * series
+    return 0.5 * albedo * into * after.series * paths * a * b
 
 
 def azimuthal(beam: Ordinates, exits: Ordinates, azimuth: jax.Array) -> jax.Array:
@@ -192,7 +215,7 @@ def azimuthal(beam: Ordinates, exits: Ordinates, azimuth: jax.Array) -> jax.Arra
 
 
 def taken_of(abl: jax.Array, depth: jax.Array, d: Ordinates) -> jax.Array:
-    """What the slab takes of light along directions, times (1 + τ)/τ."""
-    way = course(abl, depth, d)
+    """Share of light along directions that the stroma absorbs or scatters, times (1 + τ)/τ."""
+    profile = angular_profile(abl, depth, d)
     each = mean_survival(depth / d.cosine) / d.cosine
-    return way.series * (1 + way.back) * each * (1 + depth)
+    return profile.series * (1 + profile.back) * each * (1 + depth)

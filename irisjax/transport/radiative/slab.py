@@ -1,5 +1,5 @@
-"""A slab's depth polynomials: what sources in it send to each other, to its ends, and back by their
-mirrors.
+"""Depth polynomials of a slab: light that sources in it send to each other and to its boundaries,
+directly and by reflection at these.
 
 Radiances along one direction are in [0, 1] of the slab's depth a piecewise polynomial (Legendre's,
 a panel at a time) folded with exp(−xs), x = width/μ; all integrals are modified spherical Bessel
@@ -15,6 +15,7 @@ import numpy as np
 
 from irisjax.numerics import linear
 from irisjax.numerics.quadrature import gauss_legendre
+from irisjax.optics.fresnel import Shares
 from irisjax.transport.process import attenuation, reflections, survival
 
 # Light changes as τ ln τ beside both faces of a slab: panels grow from each face inwards.
@@ -23,20 +24,14 @@ Parity: TypeAlias = jax.Array | np.ndarray | int | float
 """A sign, or one a direction."""
 
 
-class Ends(NamedTuple):
-    """What a direction meets at the slab's ends, shares of its flux, shape (angles,)."""
-
-    roof: jax.Array  # sent back by all that lies above
-    roof_lost: jax.Array  # 1 − roof, without cancellation
-    floor: jax.Array
-    floor_lost: jax.Array
-
-
 class Images(NamedTuple):
-    """Geometric series of the mirror images at a slab's ends, shape (angles,).
+    """Sums over the mirror images at a slab's boundaries, geometric series of shape (angles,).
 
-    `series`: the sum itself; `top`: of light that arrives at the top, how much re-enters there;
-    `across`: of light at either end, at the other; `bottom`: at the bottom.
+    Attributes:
+        series: 1/(1 − t² F F') with the survival t of one crossing and the reflectances F, F'.
+        top: Share of light arriving at the top that enters again there.
+        across: Share of light arriving at either boundary that enters again at the other.
+        bottom: Share of light arriving at the bottom that enters again there.
     """
 
     series: jax.Array
@@ -46,10 +41,15 @@ class Images(NamedTuple):
 
 
 class Bounded(NamedTuple):
-    """The slab's depth polynomials along some directions, with the mirror images of its two ends.
+    """Integrals of the slab's depth polynomials along some directions, and the mirror images.
 
-    `start` m_i = ∫φ_i e^{−xs} ds over a panel (panels, orders, angles); `emitted` x·m_i;
-    `from_top`, `from_bottom` the survival from the slab's end to the panel (panels, angles).
+    Attributes:
+        start: m_i = ∫φ_i e^{−xs} ds over a panel, shape (panels, orders, angles).
+        emitted: x·m_i.
+        from_top, from_bottom: Survival from a boundary of the slab to the panel (panels, angles).
+        through: Survival of the whole slab, (angles,).
+        images: See `Images`.
+        cosine: Cosines of the directions.
     """
 
     start: jax.Array
@@ -79,19 +79,21 @@ class Slab:
         self._signs = jnp.asarray((-1.0) ** order, depth.dtype)
         self._norms = jnp.asarray(2.0 * order + 1, depth.dtype)
 
-    def bounded(self, cosine: jax.Array, ends: Ends) -> Bounded:
-        """What the slab is along directions (angles,)."""
-        return self.imaged(cosine, self.images(cosine, ends))
+    def bounded(self, cosine: jax.Array, upper: Shares, lower: Shares) -> Bounded:
+        """Integrals along directions (angles,), between boundaries that reflect and pass these
+        shares of the flux.
+        """
+        return self.imaged(cosine, self.images(cosine, upper, lower))
 
-    def images(self, cosine: jax.Array, ends: Ends) -> Images:
-        """Mirror images along directions (angles,)."""
+    def images(self, cosine: jax.Array, upper: Shares, lower: Shares) -> Images:
+        """Mirror images along directions (angles,), between boundaries as for `bounded`."""
         through, lost = survival(self.depth, cosine), attenuation(self.depth, cosine)
-        series, _ = reflections(through, lost, ends[:2], ends[2:])
-        across = ends.roof * series * (ends.floor * through)
-        return Images(series, ends.roof * series, across, ends.floor * series)
+        series, _ = reflections(through, lost, upper, lower)
+        across = upper[0] * series * (lower[0] * through)
+        return Images(series, upper[0] * series, across, lower[0] * series)
 
     def imaged(self, cosine: jax.Array, images: Images) -> Bounded:
-        """What the slab is along directions (angles,) with these mirror images."""
+        """Integrals along directions (angles,) with these mirror images."""
         row = cosine[None, :]
         x = self.widths[:, None] / row
         start = _legendre_moments(x, 2 * self.n_depths)
@@ -106,7 +108,7 @@ class Slab:
         )
 
     def _sources(self, b: Bounded, parity):
-        """Radiance of unit sources φ_j: leaving at the slab's ends, and re-entering there."""
+        """Radiance of unit sources φ_j that leaves at the boundaries, and that enters again."""
         emitted = b.emitted[:, : self.n_depths]
         up = (_signed(parity, emitted) * b.from_top[:, None]).reshape(-1, b.cosine.size)
         down = (emitted * self._signs * b.from_bottom[:, None]).reshape(-1, b.cosine.size)
@@ -159,7 +161,7 @@ class Slab:
     def moments_of_images(
         self, b: Bounded, weight: jax.Array, f: jax.Array, parity: Parity
     ) -> jax.Array:
-        """The part of `moments` that comes by way of the slab's ends."""
+        """The part of `moments` that the boundaries reflect."""
         _, _, downward, upward = self._sources(b, parity)
         entering_top, entering_bottom = self._tests(b)
         entering = jnp.concatenate([entering_top, _signed(parity, entering_bottom)], axis=-1)
@@ -179,7 +181,7 @@ class Slab:
         return up + through * upward, down + through * downward
 
     def leaving_of_images_each(self, b: Bounded, parity: Parity) -> tuple[jax.Array, jax.Array]:
-        """The part of `leaving_each` that comes by way of the slab's ends."""
+        """The part of `leaving_each` that the boundaries reflect."""
         _, _, downward, upward = self._sources(b, parity)
         return b.through[None, :] * upward, b.through[None, :] * downward
 

@@ -128,7 +128,7 @@ class RadiativeTabulated(AbstractSolver):
             taken = orders.taken_of(abl, depth, exits)
             once = orders.single_scattering(abl, depth, albedo, lit.beams, exits, lit.azimuth)
             more = albedo**2 * lost * taken * (found.T * angular).sum(0)
-            passed = orders.course(abl, depth, exits).roof.passed
+            passed = orders.angular_profile(abl, depth, exits).abl.passed
             return passed * lit.to_brdf * (once + more)
 
         return jax.vmap(one)(abl, depth, albedo, found)

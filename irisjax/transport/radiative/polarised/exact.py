@@ -88,7 +88,7 @@ def _one_wavelength(
         strengths[0][:, None] * modes[0].linear(nodes.p.cosine).reshape(strengths[0].size, -1),
         _system(slab, modes[0], strengths[0], angle, nodes),
         _driving(slab, modes[0], beam, beams, entering, None),
-        *(angle.linear, joined_sets(nodes.p, nodes.s), angle.roof, first, lit.power),
+        *(angle.linear, joined_sets(nodes.p, nodes.s), angle.upper, first, lit.power),
     )
     if not matrices:
         return flux, None
@@ -177,7 +177,7 @@ def _leaving(slab, mode: PolarisedMode, met: Met, d: PolarisedOrdinates, source)
     if mode.linear is not None:
         f = mode.linear(mu)
         top = slab.leaving_each(met.linear, mode.signs(mu))[0].reshape(-1, 2, mu.size)
-        passed = met.roof.passed.reshape(1, 2, -1)
+        passed = met.upper.passed.reshape(1, 2, -1)
         radiance = jnp.einsum("rca,nca,rni->aci", f * passed, top, source[: f.shape[0]])
         out = out.at[:, :2].add(radiance)
     if mode.turning is not None:

@@ -14,13 +14,13 @@ from irisjax.optics.fresnel import Coherence, coherence, fresnel_p, fresnel_s, r
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.transport.process import attenuation, survival
 from irisjax.transport.radiative.directions import (
+    Absorber,
     Ordinates,
-    Roof,
-    ends_of,
+    abl_shares,
+    boundaries,
     joined_sets,
     over_epithelium,
     parted,
-    roof_of,
 )
 from irisjax.transport.radiative.slab import Bounded, Images, Slab
 
@@ -40,14 +40,14 @@ class Met(NamedTuple):
 
     - `linear`: the slab's depth polynomials for I_l and I_r, one after the other.
     - `real`, `imaginary`: the same for W, with the real and the imaginary parts of its images.
-    - `roof`: the ABL for I_l and I_r, one after the other.
+    - `upper`: the ABL for I_l and I_r, one after the other.
     - `turned`: what of W passes the ABL, complex.
     """
 
     linear: Bounded
     real: Bounded
     imaginary: Bounded
-    roof: Roof
+    upper: Absorber
     turned: jax.Array
 
 
@@ -78,21 +78,21 @@ def meet(slab: Slab, abl: jax.Array, *sets: PolarisedOrdinates | None) -> list[M
     """`Met` of each of some sets of directions; sets may be `None`."""
     d = joined_sets(*sets)
     both = joined_sets(d.p, d.s)
-    roof = roof_of(abl, both)
+    upper = abl_shares(abl, both)
     turning = turning_layer(abl, d.w.abl_cosine, d.w.top, d.w.surface)
     of_w = _turning_images(slab.depth, d.w, turning)
     along = slab.imaged(d.p.cosine, of_w)
-    linear = slab.images(both.cosine, ends_of(roof, both))
-    apart = jax.tree.map(lambda x: x.reshape(2, -1), (linear, roof))
+    linear = slab.images(both.cosine, *boundaries(upper, both))
+    apart = jax.tree.map(lambda x: x.reshape(2, -1), (linear, upper))
     found = []
     for x in parted((along, apart, turning.passed), *(s and s.p for s in sets)):
         along, of_both, turned = x
-        linear, roof = jax.tree.map(jnp.ravel, of_both)
+        linear, upper = jax.tree.map(jnp.ravel, of_both)
         real, imaginary = (
             along._replace(images=jax.tree.map(part, along.images)) for part in (jnp.real, jnp.imag)
         )
         found.append(
-            Met(joined_sets(real, real)._replace(images=linear), real, imaginary, roof, turned)
+            Met(joined_sets(real, real)._replace(images=linear), real, imaginary, upper, turned)
         )
     return found
 
@@ -127,12 +127,12 @@ def turning_layer(
     )
 
 
-def _turning_images(depth, d: Ordinates, roof: TurningLayer) -> Images:
+def _turning_images(depth, d: Ordinates, upper: TurningLayer) -> Images:
     through, twice = survival(depth, d.cosine), survival(2 * depth, d.cosine)
-    series = _series(attenuation(2 * depth, d.cosine), _complex(twice), roof, d.bottom)
-    floor = d.bottom.reflected
-    across = roof.reflected * series * floor * _complex(through)
-    return Images(series, roof.reflected * series, across, floor * series)
+    series = _series(attenuation(2 * depth, d.cosine), _complex(twice), upper, d.bottom)
+    lower = d.bottom.reflected
+    across = upper.reflected * series * lower * _complex(through)
+    return Images(series, upper.reflected * series, across, lower * series)
 
 
 def unscattered(
