@@ -54,8 +54,8 @@ class AbstractInstrument(eqx.Module):
             number, the full width at half maximum of a Gaussian slit, nm. `None` for light of one
             wavelength each.
         cornea: Whether light crosses tear film and cornea on its way in (`"inward"`), both ways
-            (`"round-trip"`, out along the normal, as to a camera in front of the eye), or not
-            (`"none"`).
+            (`"round-trip"`, out along the normal, as to a camera in front of the eye, where its
+            radiance is divided by the square of the aqueous humour's index), or not (`"none"`).
         first_surface: Whether light reflected by the iris's own surface is included.
         aperture: Numerical aperture, in air, of what collects the light about the normal: a fibre
             or a lens; 0 for light along the normal (45°/0°). `None` for all that is sent back, as a
@@ -139,9 +139,16 @@ class AbstractInstrument(eqx.Module):
         factor, cosine = jnp.ones_like(self.gain), self.cos_incidence
         if cosine is not None and self.cornea != "none":
             factor, cosine = self.media.inward(cosine)
-            if self.cornea == "round-trip":
-                factor = factor * self.media.inward(jnp.ones_like(cosine))[0]
+            factor = factor * self.outward
         return factor, Light(cosine, self.exits, self.rays, self.polarised)
+
+    @property
+    def outward(self) -> Scalar | float:
+        """Factor on radiance on its way back to an instrument in air (1 unless `"round-trip"`)."""
+        if self.cornea != "round-trip":
+            return 1.0
+        # Radiance over n² is invariant under refraction.
+        return self.media.inward(jnp.ones_like(self.gain))[0] / self.media.aqueous**2
 
     def counted(self, solution: Solution) -> tuple[Spectrum, Spectrum | None]:
         """Return the share of the light that comes back, one value a wavelength, and its error."""
@@ -178,7 +185,7 @@ class AbstractInstrument(eqx.Module):
     ) -> R:
         """Return values as a `Reading`, with what the solution says besides."""
         shares = solution.absorbed, solution.mirrored, solution.transmitted
-        shares = jax.tree.map(lambda x: factor * x, shares)
+        shares = jax.tree.map(lambda x: factor / self.outward * x, shares)
         if self.bands is not None:
             values, shares = jax.tree.map(self.bands.mean, (values, shares))
             error = None if error is None else self.bands.error(error)

@@ -28,8 +28,8 @@ class Spectrophotometer(AbstractInstrument):
     With an `aperture` it reads the reflectance factor in that cone, π⟨f⟩ of the BRDF f: 1 for a
     white diffuser. The first surface's mirror reflection is then left out: a contact probe is
     matched to the iris, and at 45°/0° it goes elsewhere. The spot is infinitely wide: what leaves a
-    small one sideways is not lost. Seen through the cornea (`"round-trip"`) radiance is divided by
-    the square of the aqueous humour's index.
+    small one sideways is not lost. Through the cornea (`"round-trip"`) and without an aperture, all
+    that is sent back is taken as even in all directions.
     """
 
     has_bands = has_aperture = True
@@ -56,8 +56,6 @@ class Spectrophotometer(AbstractInstrument):
         return jnp.pi * solution.brdf.mean(-1), error
 
     def reading(self, solution: Solution, factor: Scalar) -> Reading:
-        if self.aperture is not None and self.cornea == "round-trip":
-            factor = factor / self.media.aqueous**2  # invariance of radiance over n²
         return self.spectrum(solution, factor, factor * self.gain, "reflectance")
 
 

@@ -161,8 +161,11 @@ def test_light_collected_from_a_cone():
     slope = np.asarray(jax.jit(jax.jacfwd(predict))(z))[:, 0]
     apart = (np.asarray(predict(z + 1e-4)) - np.asarray(predict(z - 1e-4))) / 2e-4
     np.testing.assert_allclose(slope, apart, rtol=1e-4)
-    none, inward, both = (
-        np.asarray(ij.reflectance(iris, GRID, solver=FEW, aperture=0.0, cornea=crossing).values)
-        for crossing in ("none", "inward", "round-trip")
-    )
-    np.testing.assert_allclose(both / none, (inward / none) ** 2 / 1.336**2, rtol=1e-9)
+    for aperture in (0.0, None):
+        none, inward, both = (
+            np.asarray(
+                ij.reflectance(iris, GRID, solver=FEW, aperture=aperture, cornea=crossing).values
+            )
+            for crossing in ("none", "inward", "round-trip")
+        )
+        np.testing.assert_allclose(both / none, (inward / none) ** 2 / 1.336**2, rtol=1e-9)
