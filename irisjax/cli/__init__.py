@@ -80,7 +80,7 @@ def run(arguments: list[str] | None = None) -> int:
 
 
 def _said(error: Exception) -> str:
-    """State what is wrong with the input; an empty text is a fault of the program."""
+    """Return what is wrong with the input; an empty text means a fault of the program."""
     # typer's own errors: their base class has moved between versions, the method has not.
     if (format_message := getattr(error, "format_message", None)) is not None:
         return _of_value(error) or format_message()
@@ -94,7 +94,7 @@ def _said(error: Exception) -> str:
 
 
 def _of_value(error: Exception) -> str:
-    """What is wrong with a value, behind the option or the file and key that gave it."""
+    """Return what is wrong with a value, after the option, or the file and key, that gave it."""
     parameter, context = getattr(error, "param", None), getattr(error, "ctx", None)
     message = getattr(error, "message", "")
     if parameter is None or context is None or not message:
@@ -106,7 +106,7 @@ def _of_value(error: Exception) -> str:
 
 
 def _of_extra(error: ModuleNotFoundError) -> str:
-    """How a package that an extra brings is installed; empty for other modules."""
+    """Return how to install a package that an extra brings; empty for other modules."""
     package = (error.name or "").split(".")[0]
     for extra, packages in _EXTRAS.items():
         if package in packages:
@@ -115,7 +115,7 @@ def _of_extra(error: ModuleNotFoundError) -> str:
 
 
 def parser(arguments: list[str]) -> Any:
-    """What understands these arguments: a spectrum does not wait for the renderer's import."""
+    """Make the parser of these arguments; it imports the modules of the asked command only."""
     app = typer.Typer(
         add_completion=False,
         rich_markup_mode="rich",

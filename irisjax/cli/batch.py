@@ -149,7 +149,7 @@ def _row(*cells: str) -> EyeRow:
 def _fitted(
     chunks: list[tuple[Eyes, dict[str, Any]]], seen: Mapping[str, Any], seed: int
 ) -> tuple[dict[str, EyeRow], dict[str, list[EyeRow]]]:
-    """Rows of eyes, and of the covariances of those that can be fitted."""
+    """Fit eyes; return their rows, and rows of the covariances of those that could be fitted."""
     rows, covariances = {}, {}
     for chunk, options in chunks:
         found, more = _fitted_chunk(chunk, seen, options, opt.key_of(seed))
@@ -161,7 +161,7 @@ def _fitted(
 def _fitted_chunk(
     chunk: Eyes, seen: Mapping[str, Any], options: Mapping[str, Any], key: jax.Array
 ) -> tuple[dict[str, EyeRow], dict[str, list[EyeRow]]]:
-    """The same of eyes on one grid."""
+    """Fit eyes that share one grid of wavelengths; returns as `_fitted`."""
     spectra = [m for m in chunk.values() if isinstance(m, Measured)]
     if not spectra:
         return {name: _row(name, FAILED, "", str(fault)) for name, fault in chunk.items()}, {}
@@ -261,7 +261,7 @@ def _sampled(
     sampler: Sampler,
     resume: bool,
 ) -> EyeRow:
-    """Sample the posterior of an eye; what that changes in its row."""
+    """Sample the posterior of an eye and return the changed cells of its row."""
     ((name, measured),) = eye.items()
     problem = ij.problem(ij.spectrum(measured, name=name, **seen), **options)
     folder.mkdir(parents=True, exist_ok=True)

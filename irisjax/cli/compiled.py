@@ -83,7 +83,7 @@ def _keeping(function: Any, **options: Any) -> Any:
 
 
 def kept_tables(scene: "Scene") -> "Illumination | None":
-    """Return `scene.tables()`, made once a machine; a broken file is made again, and that said."""
+    """Return `scene.tables()` from the cache, or compute and keep it; a broken file is replaced."""
     from irisjax.cli.options import tell
 
     place = folder()
@@ -190,7 +190,7 @@ class Kept:
 
 
 class _Array:
-    """Stands in a form for an array."""
+    """Placeholder of an array in a form."""
 
 
 class _Program(NamedTuple):
@@ -266,7 +266,7 @@ def _settings() -> tuple[object, ...]:
 
 @functools.cache
 def _machine() -> tuple[str, ...]:
-    """What a processor's programs are compiled for; a home may be shared by several machines."""
+    """Describe the machine that programs are compiled for: several may share a home folder."""
     device = jax.devices()[0]
     about = device.device_kind, device.client.platform_version, platform.machine()
     try:
@@ -309,7 +309,7 @@ def _write(path: Path, data: bytes) -> None:
 
 
 class Ahead:
-    """Reads files by a function of their paths, on threads before they are asked for, or then."""
+    """Reads files by a function of their paths, in advance on threads or on demand."""
 
     def __init__(self, read: Callable[[Path], Any]):
         self._read = read
@@ -325,9 +325,9 @@ class Ahead:
 
     @contextmanager
     def reading(self, command: str) -> Iterator[None]:
-        """While this is entered, the files that the command asked for last time are read. Does
-        nothing where a file was asked for before: most of what a process does later it has in
-        memory.
+        """Read the files of the command's last run on threads while this context is entered.
+
+        Does nothing if a file was read before: a later run in one process has most in memory.
         """
         place = _programs()
         if place is None or self._used:

@@ -38,7 +38,7 @@ FOR_PEOPLE = (
 def check_folder(
     folder: Path, file: str, what: str, allowed: bool, ways: str = "--overwrite starts again"
 ) -> None:
-    """Find out before the work whether a folder can keep its results, or has a `file` already."""
+    """Raise before the work if a folder cannot keep its results, or has a `file` already."""
     check_is_folder(folder)
     if (folder / file).exists() and not allowed:
         raise ValueError(f"{folder}: has {what}; {ways}")
@@ -54,7 +54,7 @@ def check_is_folder(folder: Path) -> None:
 
 
 def png_of(path: Path, encoded: Any, remark: str) -> bytes:
-    """The bytes of a PNG of encoded values; what is out of range is clipped, and said so."""
+    """Return the bytes of a PNG of encoded values; warns of values that are clipped."""
     data, clipped = encode_png(path, encoded, remark=remark)
     if clipped:
         opt.tell(f"{path}: {clipped} pixels out of sRGB's range are clipped")
@@ -62,9 +62,9 @@ def png_of(path: Path, encoded: Any, remark: str) -> bytes:
 
 
 def _take_settings(context, param, source: Path | None) -> Path | None:
-    """Let a file's settings stand in for the defaults of the options that were not typed.
+    """Use a file's settings as defaults of the options that were not typed.
 
-    Another command's file lends its iris, process and solver; what it measured is its own affair.
+    From a file of another command only iris, process and solver are taken.
     """
     if source is None:
         return None
@@ -121,7 +121,7 @@ class SwatchFile(Source):
 
 
 def check_files(output: Path | None = None, picture: Path | None = None, *suffixes: str) -> None:
-    """Find out before the work whether its results can be kept."""
+    """Raise before the work if its results cannot be kept."""
     paths = [path for path in (output, picture) if path is not None]
     for path in paths:
         io.check_writable(path)
@@ -164,9 +164,9 @@ def head(
 
     Args:
         command: The command that writes it.
-        quantity: What it holds.
-        iris: What the first of the `groups` made.
-        process: What the second of them made.
+        quantity: Name of the quantity in the file.
+        iris: The iris that the first of the `groups` describes.
+        process: The process that the second of them describes.
         groups: The command's options.
         solver: The solver, if the values are its results and nothing else.
         left_out: How polarisation would change the values.

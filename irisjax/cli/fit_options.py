@@ -180,7 +180,7 @@ class Measurements(SpectralMeasurement):
 
     @property
     def reading(self) -> ReadOptions:
-        """What `irisjax.io.read_measured` is told."""
+        """Options of `irisjax.io.read_measured`."""
         return ReadOptions(**{name: getattr(self, name) for name in ReadOptions._fields})
 
 
@@ -208,7 +208,7 @@ class PixelModel(opt.Group, panel="Model"):
     )
 
     def stated(self, headers: Iterable[Mapping[str, str]]) -> dict[str, Any]:
-        """Return what `irisjax.problem` is told of the parameters, for files with these headers."""
+        """Return arguments of `irisjax.problem` on parameters, for files with these headers."""
         return {
             "free": self.free,
             "fixed": dict(self.fix or ()),

@@ -1,4 +1,4 @@
-"""Groups of options that say how the iris is lit and what looks at it."""
+"""Groups of options of the light and of the instrument."""
 
 import dataclasses
 import math
@@ -29,19 +29,19 @@ def _index(default: float, of: str) -> Any:
 
 
 def crossing() -> Any:
-    """Whether light crosses the cornea."""
+    """Make the option of the light's way through the cornea."""
     words = "whether light crosses tear film and cornea; auto is inward for radiance, else none"
     return opt.choice(words, ("auto", *get_args(Crossing)), "auto")
 
 
 def bandwidth() -> Any:
-    """The width of an instrument's slit."""
+    """Make the option of the width of an instrument's slit."""
     words = "full width at half maximum of the instrument's slit, a Gaussian; {}"
     return opt.number(words, BANDWIDTH, metavar="NM", overrules=("bands",))
 
 
 def bands_file() -> Any:
-    """The bands of a camera or of filters."""
+    """Make the option of a table of bands."""
     words = (
         "table of the bands of a camera or of filters: columns centre and fwhm (nm), or each "
         "band's sensitivity beside the wavelengths"
@@ -50,7 +50,7 @@ def bands_file() -> Any:
 
 
 def aperture() -> Any:
-    """The cone from which light is collected."""
+    """Make the option of the cone from which light is collected."""
     words = (
         "numerical aperture, in air, of the fibre or lens along the normal that collects the "
         "light, {}; 0 for 45/0; default: all light sent back, as in a sphere"
@@ -61,7 +61,7 @@ def aperture() -> Any:
 def bands_told(
     bandwidth: float | None, bands: Path | None, illuminant: str | None = None
 ) -> Passbands | float | None:
-    """Return what an instrument is told of its bands."""
+    """Return the argument `bands` of an instrument."""
     if bandwidth is not None and bands is not None:
         raise ValueError("give --bandwidth or --bands, not both")
     return bandwidth if bands is None else io.read_passbands(bands, illuminant)
@@ -105,7 +105,7 @@ class LightOptions(opt.Group, panel="Measurement"):
         return self.cos_incidence if degrees is None else math.cos(math.radians(degrees))
 
     def before_the_iris(self) -> dict[str, Any]:
-        """What every instrument is told of light and media."""
+        """Return arguments of every instrument: light and media."""
         names = (name for name in ("aqueous", "cornea", "tear") if hasattr(self, f"{name}_index"))
         indices = {name: getattr(self, f"{name}_index") for name in names}
         return {"cos_incidence": self.cosine, "media": media.Media(**indices)}
@@ -127,7 +127,7 @@ class EyeLight(LightOptions):
     first_surface: bool = opt.flag("include light reflected by the iris's own surface", True)
 
     def before_the_iris(self) -> dict[str, Any]:
-        """Return what every instrument is told; `auto` leaves the cornea to the instrument."""
+        """Return arguments of every instrument; `auto` leaves the cornea to it."""
         cornea = {} if self.cornea == "auto" else {"cornea": self.cornea}
         return {**super().before_the_iris(), "first_surface": self.first_surface, **cornea}
 
@@ -145,7 +145,7 @@ class BandedLight(EyeLight):
             raise ValueError("--bands has its own wavelengths: give it without --wavelengths")
 
     def before_the_iris(self) -> dict[str, Any]:
-        """Return what every instrument is told, the bands included."""
+        """Return arguments of every instrument, including the bands."""
         found = super().before_the_iris()
         if self.aperture is not None:
             found["aperture"] = self.aperture

@@ -29,10 +29,10 @@ class EyeTable:
     Attributes:
         eyes: Names of all, in their order.
         first: The first columns of every row, `status` among them; the very first has the name.
-        why: The column that says why an eye is doubtful or failed.
-        unit: What an eye is called in messages.
+        why: Name of the column with the reason why an eye is doubtful or failed.
+        unit: Word for an eye in messages.
         target: The file, or `None` to print the table.
-        rows: Those that are done.
+        rows: Rows of the eyes that are done, by name.
         beside: Makes the files that are written together with the table.
     """
 

@@ -176,7 +176,7 @@ def _measured(iris, instrument, solver: AbstractSolver, key: jax.Array | None) -
 
 
 def _left_out_by_scalar_theory(iris: ij.Iris, light: lights.LightOptions) -> str:
-    """How far scalar theory is off, at some of the wavelengths, in words."""
+    """Describe the error of scalar theory at some of the wavelengths."""
     if iris.power_law is not None:
         return "how far that is off is not known under a power law of scattering"
     grid, colour = light.wavelengths.values, isinstance(light, lights.ColourLight)

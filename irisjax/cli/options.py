@@ -1,4 +1,4 @@
-"""Options: groups of them as dataclasses, and the parsers that turn a text into a value."""
+"""Groups of options as dataclasses, and parsers that turn a text into a value."""
 
 import dataclasses
 import functools
@@ -131,7 +131,7 @@ class Group:
         return getattr(self, other) in values if values else getattr(self, other) is not None
 
     def settings(self) -> dict[str, Any]:
-        """What a file must say of the group to be made again: options that apply and are set."""
+        """Return the options that apply and are set, from which the group can be made again."""
         found = {name: getattr(self, name) for name in _options_of(type(self))}
         return {n: v for n, v in found.items() if v is not None and self.applies(n)}
 

@@ -169,7 +169,7 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
 
 
 def _prepared(subject: PaintedEye, size: int, folder: Path) -> _Prepared:
-    """The recipe, matched if that is asked for."""
+    """Return the recipe, matched to a target if there is one."""
     given = subject.recipe is not None or subject.type is not None
     recipe = subject.read(subject.seed) if given else None
     if subject.match is None:

@@ -78,7 +78,7 @@ class PictureOptions(opt.Group, panel="Picture"):
 
     @property
     def suffixes(self) -> tuple[str, ...]:
-        """How the name of the picture's file may end."""
+        """Allowed suffixes of the picture's file."""
         if self.animate is not None:
             return ".gif", ".mp4", ".png"
         return (".png", ".exr") if self.spectral is None else (".exr",)
@@ -231,7 +231,7 @@ def sheet(pictures: list[np.ndarray]) -> np.ndarray:
 
 
 def _exposed(pictures: Any, exposure: float, output: Path) -> Iterator[np.ndarray]:
-    """Pictures at an exposure; in the end it is said on standard error if all are black."""
+    """Multiply pictures by an exposure; warns in the end if all are black."""
     lightest = 0.0
     for pixels in pictures:
         lightest = max(lightest, exposure * float(np.max(pixels)))

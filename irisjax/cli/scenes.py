@@ -1,4 +1,4 @@
-"""The scene that a command takes: a file or a preset, and what the options change of it."""
+"""The scene of a command: a file or a preset, with changes by options."""
 
 import dataclasses
 import functools
@@ -52,7 +52,7 @@ class Subject(opt.Group, panel="What"):
         return self.changing(parse_scene(studio, f"preset {self.preset}"))
 
     def changing(self, file: SceneFile) -> SceneFile:
-        """The scene with what the options say of it."""
+        """Return the scene with the changes that the options ask for."""
         entries = {"veins": self.veins, "limbal_ring": self.limbal_ring}
         file = file.with_eye(**{k: v for k, v in entries.items() if v is not None})
         return file.without_residual() if self.no_residual else file

@@ -24,7 +24,7 @@ _UNKNOWN = 3.0  # relative sd above which a parameter counts as unknown: a facto
 
 
 def process_lines(found: ProcessComparison) -> list[str]:
-    """How far the pigments move, and a warning where the data prefer the other process."""
+    """Describe the change of the pigments with the process; warn if the data prefer the other."""
     names = [n for n in found.moved if kind(n) in _QUOTED] or list(found.moved)[:1]
     lines = []
     if names:
@@ -77,7 +77,7 @@ def product(direction: Direction) -> str:
 
 
 def of_the_data(problem: Problem) -> list[str]:
-    """Return what the data of a problem cannot tell, whatever their values."""
+    """Describe what the data of a problem cannot determine, whatever their values."""
     lines = []
     if problem.undetermined:
         data = sum(o.values.shape[-1] for o in problem.observations)

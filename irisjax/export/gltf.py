@@ -62,7 +62,7 @@ def gltf_files(
 
     Args:
         scene: The scene.
-        meshes: Of `right_handed`, mm: `eye_meshes` and `strip_meshes`.
+        meshes: Meshes of `eye_meshes` and `strip_meshes`, converted by `right_handed`, mm.
         colour: Albedo of the iris, linear sRGB in [0, 1].
         white: Albedo of the white from the limbus to the equator, or `None`.
         haze: Transmittance of one passage of the cornea, linear sRGB; `None` for a clear one.
@@ -276,7 +276,7 @@ def _index(value: float) -> dict[str, Any]:
 
 
 def _described(eye: Eye) -> dict[str, Any]:
-    """Measures of the eye for engines whose shaders ask for them, m; extras of the scene."""
+    """Return measures of the eye (m) for shaders of engines, as extras of the scene."""
     names = "iris_radius", "iris_depth", "pupil_radius", "pupil_margin", "limbus_radius"
     lengths = {name: round(_MM * float(getattr(eye, name)), 9) for name in (*names, "limbus_width")}
     cornea = None if eye.cornea is None else float(eye.cornea.index)

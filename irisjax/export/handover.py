@@ -35,7 +35,7 @@ from irisjax.render.separable import Separable
 FORMS = "obj", "glb"
 """Kinds of hand-over: `glb` adds a glTF binary to the files of `obj`."""
 REFLECTANCE_WAVELENGTHS = tuple(400.0 + 20.0 * i for i in range(16))
-"""Of the layers of reflectance.exr, nm."""
+"""Wavelengths of the layers of reflectance.exr, nm."""
 _LAYERS = spectral_channels(REFLECTANCE_WAVELENGTHS, layer="T")
 
 
@@ -45,7 +45,7 @@ class Exported(NamedTuple):
     Attributes:
         files: Paths by the files' names.
         clipped: Number of texels that were clipped.
-        error: Of the matt iris against the model.
+        error: Error of a matt iris against the model.
     """
 
     files: dict[str, Path]

@@ -1,4 +1,4 @@
-"""What a camera adds to pixels: Exif's focal length, and raw files of the sensor."""
+"""The focal length in Exif, and raw files of cameras."""
 
 import contextlib
 import math
@@ -22,10 +22,16 @@ _PER_MM = {2: 1 / 25.4, 3: 0.1, 4: 1.0, 5: 1000.0}  # Exif's units of the focal 
 
 
 def focal_px(exif: Mapping[str, float], shape: tuple[int, int], notes: list[str]) -> float | None:
-    """Focal length in pixels of a picture of `shape` (rows, columns, as the file stores it), `None`
-    where Exif has none that can be believed, with notes on how it was found: from
-    `FocalLengthIn35mmFilm` by the diagonals of picture and film, else from `FocalLength` (mm) and
-    `FocalPlaneXResolution`, both scaled from `PixelXDimension` to the picture's pixels.
+    """Return the focal length in pixels of a picture, `None` if Exif has no credible one.
+
+    It follows from `FocalLengthIn35mmFilm` by the diagonals of picture and film, else from
+    `FocalLength` (mm) and `FocalPlaneXResolution`; both are scaled from `PixelXDimension` to the
+    picture's pixels.
+
+    Args:
+        exif: Numbers of Exif by their names.
+        shape: Rows and columns as the file stores them.
+        notes: Gets sentences on how the focal length was found.
     """
     given = defaultdict(float, {k: v for k, v in exif.items() if math.isfinite(v)})
     taken, scale = _taken(given, shape, notes)
@@ -51,7 +57,7 @@ def focal_px(exif: Mapping[str, float], shape: tuple[int, int], notes: list[str]
 def _taken(
     given: Mapping[str, float], shape: tuple[int, int], notes: list[str]
 ) -> tuple[list[int], float]:
-    """Sides as the camera took them, pixels, and what the picture was resized by since."""
+    """Return the sides of the picture as it was taken, pixels, and its scale since then."""
     now = sorted(shape)
     then = sorted(int(given.get(f"Pixel{axis}Dimension", 0)) for axis in "XY")
     if then[0] < 1 or then == now:
@@ -117,7 +123,7 @@ def develop(
 
 @contextlib.contextmanager
 def quietly() -> Iterator[None]:
-    """Let failures and warnings of Pillow pass where only a note or a focal length is lost."""
+    """Suppress failures and warnings of Pillow, where only a note or a focal length is lost."""
     with warnings.catch_warnings(), contextlib.suppress(Exception):
         warnings.simplefilter("ignore")
         yield
@@ -141,7 +147,7 @@ def _at_white_level(raw) -> np.ndarray:
 
 
 def _exif_of(path, raw) -> dict[str, float]:
-    """Exif's numbers: of the file where it is laid out as TIFF is, else of the preview within."""
+    """Read Exif's numbers of the file if its layout is that of TIFF, else of its preview."""
     import rawpy
     from PIL import Image
 

@@ -196,7 +196,7 @@ def writing_maps(
         shape: Rows and columns.
         variables: For each map the names of its further axes, its type and its attributes.
         coordinates: Values along these axes, and along `row` and `column`.
-        attributes: Of the file.
+        attributes: Attributes of the file.
     """
     import h5netcdf
     import h5py

@@ -25,12 +25,12 @@ class FittedEyes(NamedTuple):
     """Eyes of a group, fitted with the same free parameters and priors.
 
     Attributes:
-        names: Of the eyes.
-        priors: Of the parameters (but gain and noise, which are the instrument's) by name.
+        names: Names of the eyes.
+        priors: Priors by name of the parameters, except gain and noise, which are the instrument's.
         values: Most probable values, in the parameters' units.
-        z, covariance: The same in the coordinates in which priors are standard normal, and their
-            covariance, the gain marginalised.
-        process: Of the light, by its name in commands.
+        z, covariance: Most probable values and their covariance, marginalised over the gain, in the
+            coordinates in which priors are standard normal.
+        process: Name of the light's process in commands.
         left_out: Names of eyes that are not used, and their status.
         draws: Draws of the posteriors in these coordinates; `None` unless every eye has a
             converged posterior (`--posteriors`).

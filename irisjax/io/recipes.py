@@ -36,7 +36,7 @@ class Recipe(NamedTuple):
         mixing: One of `MIXING`.
         paints: File of absorption and scattering, for Kubelka and Munk's mixing only.
         palette: Paints added or replaced, `#rrggbb` by name.
-        folder: That files are named relative to.
+        folder: Folder that names of files are relative to.
     """
 
     coats: tuple[CoatRecipe, ...]

@@ -1,4 +1,4 @@
-"""TOML files of sections: every entry checked, and what is wrong told with its line."""
+"""TOML files of sections, whose entries are checked; messages name the line."""
 
 import math
 import re
@@ -12,9 +12,9 @@ import tomlkit
 from irisjax.numerics.checks import Range
 
 EntryCheck = Range | range | tuple[str, ...] | type | Callable[[Any], Any]
-"""What an entry may be: a number in a `Range`, a whole number in a `range`, one of some names, of
-one of the types `bool`, `str` and `dict`, or what a function takes, which returns the entry as it
-is used and raises `ValueError` that tells what it must be.
+"""The check of an entry: a `Range` of numbers, a `range` of whole numbers, a tuple of names, one of
+the types `bool`, `str` and `dict`, or a function. The function returns the entry as it is used, or
+raises `ValueError` with what is allowed.
 """
 Keys = Mapping[str, EntryCheck] | Callable[[str], EntryCheck]
 """Checks of a section's entries: by their names, or made for any name."""
@@ -28,9 +28,19 @@ _TYPES = {bool: "true or false", str: "text", dict: "a table, { name = value }"}
 def check_sections(
     written: str, name: str, keys: Mapping[str, Keys], repeated: str
 ) -> tuple[dict[str, Any], Where]:
-    """Sections of a TOML text as the checks of their entries give them, and where they are written;
-    `ValueError` names file, line, what is wrong and what is allowed. The section `repeated` is
-    written `[[section]]`, once for each of its tables.
+    """Parse a TOML text and check the entries of its sections.
+
+    Args:
+        written: The text.
+        name: Name of the file, for messages.
+        keys: Checks of the entries by section.
+        repeated: Section that is written `[[section]]`, once for each of its tables.
+
+    Returns:
+        The checked sections, and a function that finds the line of an entry.
+
+    Raises:
+        ValueError: With file, line, what is wrong and what is allowed.
     """
     try:
         sections = tomllib.loads(written)
@@ -71,7 +81,7 @@ def check_sections(
 
 
 def checked(value: Any, allowed: EntryCheck) -> Any:
-    """An entry as it is used, or `ValueError` that tells what it must be."""
+    """Return an entry as it is used, or raise `ValueError` with what is allowed."""
     if isinstance(allowed, Range):
         if type(value) not in (int, float) or not allowed.holds(value):
             span = "" if allowed.low == -math.inf else f" in {allowed}"
@@ -131,7 +141,7 @@ def plain(value: Any, digits: int | None = None) -> Any:
 
 
 def _line_of(text: str, section: str, key: str | None, nth: int) -> int | None:
-    """Where a key of the nth table of a section is written (1 is the first line)."""
+    """Return the line of a key in the nth table of a section; 1 is the first line."""
     current, count, header = "", -1, None
     entry = None if key is None else re.compile(rf"\s*[\"']?{re.escape(key)}[\"']?\s*=")
     for number, line in enumerate(text.splitlines(), 1):

@@ -28,7 +28,7 @@ _WHOLE = 0.999  # least share of a cell that has to be visible
 
 
 class Target(NamedTuple):
-    """What paint is matched to, with the name of its file or folder.
+    """A target for paint, with the name of its file or folder.
 
     Attributes:
         texture: Linear reflectance, polar as in `IrisMaps`.

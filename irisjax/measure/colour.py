@@ -37,7 +37,7 @@ _BRADFORD = np.array(
 XYZ_TO_SRGB = np.linalg.inv(
     np.array([[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]])
 )
-"""From XYZ (D65 white at Y = 1) to linear sRGB [IEC 61966-2-1]."""
+"""Matrix from XYZ (D65 white at Y = 1) to linear sRGB [IEC 61966-2-1]."""
 
 
 class Colour(eqx.Module):
@@ -47,7 +47,7 @@ class Colour(eqx.Module):
         xyz: Tristimulus values, white at Y = 1.
         lab: CIE 1976 `L*a*b*` relative to that white.
         srgb_linear: Linear sRGB, adapted to D65 (Bradford), not clipped.
-        srgb: The same with sRGB's transfer function, whose linear part is continued below 0.
+        srgb: `srgb_linear` by sRGB's transfer function, whose linear part continues below 0.
         in_gamut: Whether all three linear components lie in [0, 1].
     """
 

@@ -1,4 +1,4 @@
-"""What instruments have in common: where light comes from, what lies between, what counts."""
+"""The base class of instruments: incident light, the media that it crosses, readings."""
 
 import abc
 from functools import lru_cache
@@ -50,8 +50,8 @@ class AbstractInstrument(eqx.Module):
             air if the light crosses the cornea); `None` for diffuse light, given as `"diffuse"`.
         media: Refractive indices in front of the iris (those of an eye are `Eye.media`).
         gain: Factor of the instrument on every value.
-        bands: What each value is the mean of, such as a slit's or filters' `Passbands`; given as a
-            number, the full width at half maximum of a Gaussian slit, nm. `None` for light of one
+        bands: `Passbands` of a slit or of filters; each value is the mean over a band. A number
+            is the full width at half maximum of a Gaussian slit, nm; `None` means light of one
             wavelength each.
         cornea: Whether light crosses tear film and cornea on its way in (`"inward"`), both ways
             (`"round-trip"`, out along the normal, as to a camera in front of the eye, where its
@@ -183,7 +183,7 @@ class AbstractInstrument(eqx.Module):
         kind: type[R] = Reading,
         **more: Any,
     ) -> R:
-        """Return values as a `Reading`, with what the solution says besides."""
+        """Return values as a `Reading`, with the solution's status and shares of the light."""
         shares = solution.absorbed, solution.mirrored, solution.transmitted
         shares = jax.tree.map(lambda x: factor / self.outward * x, shares)
         if self.bands is not None:

@@ -1,4 +1,4 @@
-"""What an instrument reads of an iris; all calls, inversion and command go through `observed`."""
+"""Reading an iris with an instrument; calls, inversions and commands all use `observed`."""
 
 from collections.abc import Callable
 from typing import Any

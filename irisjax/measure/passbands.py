@@ -1,4 +1,4 @@
-"""Passbands: what slits, filters and pixels average before a spectrum is read."""
+"""Passbands of slits, filters and pixels."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -36,7 +36,7 @@ class Passbands(eqx.Module):
 
     Attributes:
         centres: Mean wavelength of each band, nm, increasing.
-        wavelengths: Where the model is evaluated, nm.
+        wavelengths: Wavelengths at which the model is evaluated, nm.
         weights: Share of each of these in each band; rows add to one.
     """
 
@@ -91,7 +91,7 @@ class Passbands(eqx.Module):
 
         Args:
             wavelengths: In nm, increasing.
-            sensitivities: Of each band at each wavelength, shape (wavelengths, bands), in any unit.
+            sensitivities: Sensitivity of each band, shape (wavelengths, bands), in any unit.
             illuminant: Name in colour-science of the light, if the sensitivities are those of the
                 sensor and filter alone; a reflectance is relative to a white in the same light.
 

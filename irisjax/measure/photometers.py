@@ -150,7 +150,7 @@ class Brdf(eqx.Module):
     Attributes:
         azimuth: Azimuths of the exits from the plane of incidence, radians; 0 is where a mirror
             would send the light.
-        standard_error: Of the values (in 1/sr) where they are sampled, otherwise `None`.
+        standard_error: Standard errors of sampled values, 1/sr; `None` for computed ones.
         mirrored: Share of the light that the first surface reflects into the mirror direction, a
             delta function that is not in `values`.
         status: A `RESULTS` item.

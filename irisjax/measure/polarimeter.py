@@ -34,8 +34,8 @@ class PolarisedInstrument(AbstractInstrument):
     Attributes:
         polariser: Angle (radians) of the light's polarisation, or `None` for unpolarised light.
         cos_exit: Cosine of the exit angle, or `None` for all exits, given as `"hemisphere"`.
-        azimuth: Of the exit, radians from the plane of incidence, 0 where a mirror would send the
-            light.
+        azimuth: Azimuth of the exit from the plane of incidence, radians; 0 is where a mirror would
+            send the light.
     """
 
     polarised = True
@@ -85,7 +85,7 @@ class PolarisedInstrument(AbstractInstrument):
         return polarised_at(-self.polariser)
 
     def filtered(self, angle: Scalar) -> Float[Array, "4"]:
-        """What an analyser at `angle` passes, as weights of a Stokes vector."""
+        """Weights of a Stokes vector whose sum an analyser at `angle` passes."""
         turned = angle if self.cos_exit is None else angle - self.azimuth
         return 0.5 * polarised_at(turned)
 

@@ -117,7 +117,7 @@ def _cholesky(a):
 
 
 def _padded(a):
-    """With ones added to the diagonal, to whole blocks."""
+    """Pad a matrix to whole blocks, with ones on the diagonal."""
     n = a.shape[0]
     return jnp.eye(-(-n // _BLOCK) * _BLOCK, dtype=a.dtype).at[:n, :n].set(a)
 
@@ -132,7 +132,7 @@ def _forward(root, b):
 
 
 def _small_cholesky(a):
-    """Column by column."""
+    """Cholesky's method, column by column."""
     rows = jnp.arange(a.shape[0])
 
     def step(k, carry):

@@ -1,4 +1,4 @@
-"""Arrays within a caller's sharding: what loops and inner functions must be told there.
+"""Types and layouts of arrays that loops and inner functions need under a caller's sharding.
 
 In the body of `jax.shard_map` an array's type says over which axes of the mesh it varies. A loop's
 carry and what an inner function closes over keep one such type, so it is given to them beforehand.

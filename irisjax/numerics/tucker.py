@@ -28,7 +28,7 @@ class Tucker(eqx.Module):
 
     @classmethod
     def of(cls, values: np.ndarray, tolerance: float, dtype: DTypeLike) -> "Tucker":
-        """Of values at `chebyshev_nodes` of every axis, shape (nodes of each axis …, functions).
+        """Compress values at `chebyshev_nodes` of every axis, shape (nodes of each …, functions).
 
         Each function is scaled by its largest value for the choice of ranks; what is left out of an
         axis is below `tolerance` in the mean square.

@@ -63,7 +63,7 @@ class Painting(eqx.Module):
     """Coats from the bottom up, on cones that differ in height alone.
 
     Attributes:
-        coats: Those of equal height lie in their order.
+        coats: From the bottom up; coats of equal height in their order of painting.
         profile: Cross-section of the lowest surface from the pupil's margin to the root; its radii
             rise.
 

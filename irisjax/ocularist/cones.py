@@ -21,7 +21,7 @@ _ROUNDING = 16  # units in the last place by which cones reach beyond their seam
 
 
 class Hit(NamedTuple):
-    """Where rays meet a stack of cones."""
+    """Intersections of rays with a stack of cones."""
 
     distance: Float[Array, "*s"]  # along the ray, mm; 0 where it misses
     cone: Int[Array, "*s"]  # index of the cone
@@ -33,8 +33,8 @@ class Cones(eqx.Module):
     cylinder.
 
     Attributes:
-        z: Of the circles where cones join, mm, shape (circles,).
-        radius: Of these circles, mm.
+        z: Positions of the circles where cones join, mm, shape (circles,).
+        radius: Radii of these circles, mm.
 
     Raises:
         ValueError: for fewer than two circles, for numbers that are not finite, radii below 0, and

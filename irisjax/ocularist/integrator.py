@@ -102,7 +102,7 @@ class Painted(AbstractIntegrator):
     def response(
         self, iris: Iris | None, aqueous_index: Scalar, bands: Bands, ranges: Scales
     ) -> "PaintedResponse":
-        """Of a picture in linear sRGB: colours of paints are no spectra.
+        """Make the response of a picture in linear sRGB: colours of paints are not spectra.
 
         **Raises:** `ValueError` for a picture of other channels.
         """
@@ -137,7 +137,7 @@ class _Extent(NamedTuple):
 
 
 class PaintBase(NamedTuple):
-    """What all coats are painted on."""
+    """Geometry and light that all coats share, computed once for a scene."""
 
     seen: _Ground
     state: _State
@@ -169,8 +169,10 @@ def look_up(texture: Array, x: Array, y: Array, reach: Scalar) -> Array:
 
 
 def _kept(steps: dict[Any, Any]) -> Callable[..., Any]:
-    """Calls a function, or takes its result for the same arrays from the steps before, by their
-    identity; the steps keep them alive.
+    """Make a function that caches results of other functions by the identity of their arrays.
+
+    `steps` holds the results of the painting before and is filled with those of this one; it keeps
+    the arrays alive.
     """
     before = dict(steps)
     steps.clear()
@@ -199,7 +201,9 @@ def _groups(painting: Painting) -> list[list[Coat]]:
 
 @pixelwise
 def _ground(pixels: IrisPixels, extent: _Extent, eye: Eye, flux: Array) -> tuple[_Ground, _State]:
-    """Where pixels see the base, extended to the axis and past the root, and the first state."""
+    """Compute where pixels see the base, extended to the axis and past the root, and the first
+    state.
+    """
     profile = extent.profile
     ends = jnp.stack([jnp.zeros_like(profile.radius[0]), 2 * profile.radius[-1]])
     z = profile.height(ends)

@@ -47,7 +47,7 @@ class Match(NamedTuple):
     Attributes:
         recipes: From the bottom up, with new shares and opacities.
         before: Colour difference over all known texels before the match.
-        after: The same after it.
+        after: Colour difference after it.
         steps: Evaluations of the search.
         converged: Whether the search converged within its steps.
     """
@@ -80,8 +80,8 @@ def match(
 
     Args:
         recipes: The coats to begin with.
-        mixer: Of their paints.
-        eye: With the target's pupil.
+        mixer: Mixer of their paints.
+        eye: Eye with the target's pupil.
         target: Linear reflectance, polar as in `IrisMaps`.
         known: Texels that count; all by default.
         scans: As for `painted`.
@@ -168,12 +168,12 @@ def retouch(
 
     Args:
         recipes: The coats below, such as those of a `Match`.
-        mixer: Of their paints; every pair of its paints is tried.
-        eye: With the target's pupil.
+        mixer: Mixer of their paints, every pair of which is tried.
+        eye: Eye with the target's pupil.
         target: As for `match`.
         known: As for `match`; other texels are left as they are.
         count: Number of coats to add.
-        prefix: Of the names of the files, before a number and `.png`.
+        prefix: Beginning of the names of the files, before a number and `.png`.
         scans: As for `painted`.
         size: Texels along a side of opacity maps; paint the new coats at this size.
 
@@ -228,9 +228,16 @@ def _checked_target(target, known) -> tuple[Float[Array, "angles radii 3"], _Kno
 
 
 class _Problem(NamedTuple):
-    """What residuals depend on; arrays have one entry per coat but for `opacity`, of coats painted
-    whole (coats, texels), `target`, L*a*b* (texels, 3), and `start`, logits of shares and then of
-    opacities.
+    """Data of the residuals; arrays have one entry per coat unless stated.
+
+    Attributes:
+        mixer: Mixer of the paints.
+        first, second: Indices of the paints.
+        opacity: Opacity of whole coats, shape (coats, texels).
+        target: L*a*b* of the target, shape (texels, 3).
+        given: Opacities of the recipe.
+        fixed: Whether the opacity is kept.
+        start: Logits of the shares, then of the opacities, of the recipe.
     """
 
     mixer: AbstractMixer

@@ -89,10 +89,10 @@ class AbstractMixer(eqx.Module):
         mixer's arrays.
 
         Args:
-            first: A name, or one per coat.
-            second: Likewise.
-            share: Of the second paint, 0 to 1; a number, one per coat, or an array of any shape
-                where both paints are one name.
+            first: Name of the first paint, or one name per coat.
+            second: Name of the second paint, or one name per coat.
+            share: Share of the second paint, 0 to 1: a number, one per coat, or an array of any
+                shape if both paints are one name.
 
         Raises:
             ValueError: for an unknown paint, a share out of range, and shapes that do not go

@@ -1,4 +1,4 @@
-"""From a recipe to a painting and its scene: opacity maps are drawn and paints mixed."""
+"""A painting and its scene from a recipe: opacity maps are drawn and paints mixed."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -42,8 +42,8 @@ def painted(
 
     Args:
         recipes: The coats; those of equal height in their order, the bottom one first.
-        mixer: Of their paints.
-        eye: Whose iris is painted.
+        mixer: Mixer of their paints.
+        eye: Eye whose iris is painted.
         size: Texels along a side of opacity maps.
         scans: Pictures by the name of their file, for coats of the component `SCAN`.
 
@@ -84,10 +84,11 @@ def studio(painting: Painting, eye: Eye, *, seed: int = 0, **parts: Any) -> Scen
     """A scene of a painted eye in the light of two lamps, with vessels on its white.
 
     Args:
-        painting: Of the eye's iris.
+        painting: Painting of the eye's iris.
         eye: The eye.
-        seed: Of the vessels.
-        parts: Of the `Scene`, in place of the defaults; an environment is represented by 16 lamps.
+        seed: Seed of the vessels.
+        parts: Fields of the `Scene` in place of the defaults; an environment is represented by 16
+            lamps.
     """
     usual: dict[str, Any] = {
         "lights": Lights.distant(0.6, 2.2, 2.4) + Lights.distant(0.5, -0.6, 0.9),

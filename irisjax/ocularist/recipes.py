@@ -17,7 +17,7 @@ from irisjax.numerics.checks import check_known, check_whole
 EYE_TYPES = ("smeared", "dit-dot", "detail")
 """Types of eye, from the least to the most detail."""
 HEIGHT_STEP = 0.006
-"""From one coat to the next, mm."""
+"""Height of a coat above the one before it, mm."""
 _SEEDS = 2**31
 
 

@@ -43,8 +43,8 @@ class Tissue(NamedTuple):
     """An iris of pigments that looks like a painted one.
 
     Attributes:
-        iris: What the maps are relative to.
-        maps: Of the pigments and of the stroma's thickness.
+        iris: Iris that the maps are relative to.
+        maps: Maps of the pigments and of the stroma's thickness.
         exposure: Factor on the tissue's reflectance that makes it look like the paint.
         left: The remaining colour difference, of the albedo that the maps themselves give.
     """
@@ -87,7 +87,7 @@ def nearest_tissue(
 
     Args:
         painting: The painted iris.
-        eye: Whose iris was painted.
+        eye: Eye whose iris was painted.
         shape: (angles, radii) of the maps.
         exposure: Factor on the tissue's reflectance before the two are compared; by default the
             one, from 1 to 64, that leaves the least mean difference.

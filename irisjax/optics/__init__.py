@@ -1,4 +1,4 @@
-"""Optics that knows nothing of eyes."""
+"""Optics without anatomy: interfaces, conicoids, phase functions."""
 
 import lazy_loader
 

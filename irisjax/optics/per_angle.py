@@ -128,7 +128,7 @@ def _product_integrated(starts, widths, m: int, xp: ModuleType):
 
 
 class _Places(NamedTuple):
-    """Points of a panel in its variable g, and what the kernel asks of them."""
+    """Points of a panel in its variable g, with the arguments of the kernel."""
 
     g: Any
     from_start: Any  # μ² less the panel's start
@@ -160,7 +160,7 @@ class _Points(NamedTuple):
 
 @functools.lru_cache(maxsize=64)
 def _points(m: int, target: int, source: int) -> _Points:
-    """In panel `source` for the `m` targets of panel `target`."""
+    """Return nodes and weights in panel `source` for the `m` targets of panel `target`."""
     up, low = _dense_at_start(m + 36), _dense_at_end(m // 2 + 32, source == 0)
     if target < source:
         return up
@@ -182,7 +182,7 @@ def _dense_at_start(n: int) -> _Points:
 
 
 def _dense_at_end(half: int, first: bool) -> _Points:
-    """Twice `half` points. A panel that does not start at μ = 0 may be steep at its start too."""
+    """Return 2 `half` points; a panel that does not start at μ = 0 may be steep there too."""
     p = _dense_at_start(2 * half if first else half)
     x, rest, weight = p.rest[::-1], p.x[::-1], p.weight[::-1]
     if not first:

@@ -100,8 +100,8 @@ def models_figure(
 
     Args:
         observations: The measurements.
-        fits: By model, predictions and residuals (standard deviations) of each observation.
-        pigments: By the label of the axis, for each model its value and 95 % interval.
+        fits: Predictions and residuals (standard deviations) of each observation, by model.
+        pigments: Value and 95 % interval by model, by the label of the axis.
         title: Title of the figure.
     """
     n, marks = len(observations), ("o", "s", "^", "D")

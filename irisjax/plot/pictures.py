@@ -1,4 +1,4 @@
-"""What all figures share, and figures and colours as the bytes of picture files."""
+"""Colours and axes that all figures share, and the bytes of picture files."""
 
 import io
 from pathlib import Path

@@ -34,7 +34,7 @@ Scale: TypeAlias = tuple[Array, ...]
 
 
 class LaneLayers(NamedTuple):
-    """What a lane's photons meet: depths and albedo at its wavelength (lanes,), indices, entry."""
+    """Layers of each lane: depths and albedo at its wavelength (lanes,), indices, entry."""
 
     abl: Array
     stroma: Array
@@ -82,7 +82,7 @@ class InLayer(NamedTuple):
         return jnp.where(self.in_abl, abl, stroma)
 
     def leaves(self, down: Array) -> Array:
-        """Whether who passes the interface ahead leaves the layers that are followed."""
+        """Whether a photon that passes the interface ahead leaves all layers."""
         if self.in_ipe is None:
             return self.in_abl ^ down
         return (self.in_abl & ~down) | (self.in_ipe & down)
@@ -101,7 +101,7 @@ class InLayer(NamedTuple):
     def packed(
         self, fate: Any, passes: Array, down: Array, mode: Any, turned: Any, events: Any
     ) -> Array:
-        """`Photon.code` of who stays here or passes into the next layer."""
+        """`Photon.code` of photons that stay here or pass into the next layer."""
         code = fate | mode << 4 | turned.astype(jnp.int32) << 31 | events << 7
         if self.in_ipe is None:
             return code | (self.in_abl ^ passes).astype(jnp.int32) << 3
@@ -193,7 +193,9 @@ def deflect(direction: Array, cosine: Array, azimuth: Array) -> Array:
 
 
 def guided(mu: Array, n_here: Any, n_ahead: Any, n_behind: Any) -> Array:
-    """Total reflection at both faces. In a layer that cannot turn it, such a ray ends absorbed
-    after however many crossings, in the limit without absorption too: say so at once.
+    """Whether a ray is totally reflected at both faces of its layer.
+
+    In a layer that does not scatter, such a ray is absorbed after any number of crossings, also in
+    the limit of no absorption; it is counted as absorbed at once.
     """
     return (1.0 - mu * mu) * jnp.square(n_here / jnp.maximum(n_ahead, n_behind)) >= 1.0

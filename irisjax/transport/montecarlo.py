@@ -1,4 +1,4 @@
-"""Analogue Monte Carlo: follows photons event by event, and says how well that is known.
+"""Analogue Monte Carlo: photons followed event by event, with standard errors.
 
 Photons are dealt out by their index, over a mesh of devices where the caller gives one; integer
 counts do not depend on how.

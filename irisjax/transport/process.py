@@ -162,7 +162,7 @@ def reflections(t: Real, lost: Real, near: Shares, far: Shares) -> Shares:
         t: Survival of one crossing.
         lost: 1 − t.
         near: Reflectance and transmittance of one face.
-        far: Those of the other.
+        far: Reflectance and transmittance of the other.
     """
     escape = lost * (1 + t) + t * t * (near[1] + near[0] * far[1])
     sealed = escape <= 0

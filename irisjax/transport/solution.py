@@ -1,4 +1,4 @@
-"""What every solver returns, and how it says that something is wrong."""
+"""The result of every solver, with its status."""
 
 from typing import Any, NamedTuple, TypeVar
 
@@ -72,7 +72,7 @@ class Polarisation(eqx.Module):
 
 
 class Solution(eqx.Module):
-    """Where the light goes that falls on the iris from the aqueous humour.
+    """Fate of the light that falls on the iris from the aqueous humour.
 
     Shares of the incident power, one value a wavelength: `reflectance` (what entered and came
     back), `mirrored` (at the first surface), `absorbed`, `transmitted` (what leaves the pigment
@@ -141,7 +141,7 @@ def outcome(valid: Bool[Array, ""], *checks: tuple[Bool[Array, ""], RESULTS]) ->
 
 
 def worst(status: RESULTS) -> RESULTS:
-    """Of a batch of outcomes one that is not successful, if there is any."""
+    """Return an unsuccessful outcome of a batch, if there is one."""
     return jax.tree.map(jnp.max, status)
 
 

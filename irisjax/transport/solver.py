@@ -1,4 +1,4 @@
-"""What instruments and the inversion require of a solver."""
+"""The base class of solvers, and checks of their input."""
 
 import abc
 

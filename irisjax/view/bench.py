@@ -49,7 +49,7 @@ LayerStack = tuple[Layer, ...]
 
 @dataclasses.dataclass(frozen=True)
 class BenchSettings(CommonSettings):
-    """What can be changed of a painted eye.
+    """Settings of a painted eye.
 
     Attributes:
         layers: Its coats, the bottom one first.

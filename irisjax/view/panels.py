@@ -87,7 +87,7 @@ class TissuePanel:
         return widgets
 
     def results(self) -> "viser.GuiHtmlHandle":
-        """Plot and colour, and where the page tells how it stands."""
+        """Add the plot, the colour and the status; returns the status."""
         from viser import uplot
 
         gui, grid = self.gui, uplot.Axis_Grid(stroke="#444444", width=1)
@@ -111,7 +111,7 @@ class TissuePanel:
         return gui.add_html("")
 
     def tell(self, first: bool) -> None:
-        """Spectrum and colour after a picture; the `first` stays in the plot."""
+        """Show spectrum and colour after a picture; the `first` spectrum stays in the plot."""
         values, colour = self.studio.spectrum()
         before = values if first else self.plot.data[1]
         self.plot.data = (SPECTRUM_NM, before, values)
@@ -119,7 +119,7 @@ class TissuePanel:
         self.colour.content = colour_patch(colour)
 
     def remarks(self) -> tuple[str, ...]:
-        """Of the last picture."""
+        """Return remarks on the last picture."""
         error, now = self.studio.error, self.studio.settings
         melanin = f"eumelanin {now.eumelanin:.3g}, pheomelanin {now.pheomelanin:.3g} mg/ml"
         orders = "single scattering" if error is None else f"all orders, within {100 * error:.1g} %"
@@ -128,7 +128,7 @@ class TissuePanel:
 
 
 class CoatsPanel:
-    """Widgets of a `Bench`; those of coats ask by `put` for settings."""
+    """Widgets of a `Bench`; those of coats request settings by `put`."""
 
     TITLE = "Coats"
 
@@ -141,11 +141,11 @@ class CoatsPanel:
         self.folders: dict[str, Any] = {}
 
     def widgets(self) -> dict[str, Any]:
-        """None that shows a setting by itself."""
+        """No widget shows a single setting."""
         return {}
 
     def results(self) -> "viser.GuiHtmlHandle":
-        """How it stands, the button that saves, and the coats."""
+        """Add the status, the button that saves, and the coats; returns the status."""
         gui = self.gui
         status = gui.add_html("", order=0)
         save = gui.add_button(
@@ -159,10 +159,10 @@ class CoatsPanel:
         return status
 
     def tell(self, first: bool) -> None:
-        """Nothing to read after a picture."""
+        """Nothing is shown after a picture."""
 
     def remarks(self) -> tuple[str, ...]:
-        """Of the last picture."""
+        """Return remarks on the last picture."""
         layers = self.bench.settings.layers
         return (f"{sum(layer.on for layer in layers)} of {len(layers)} coats", "painted")
 
@@ -199,7 +199,7 @@ class CoatsPanel:
         colour.value = self.bench.colour(name, mixed=True)
 
     def _sort(self) -> None:
-        """The uppermost first, below what does not move."""
+        """Order the folders, the uppermost coat first."""
         for place, layer in enumerate(reversed(self.layers)):
             folder, order = self.folders[layer.name], 10.0 + place
             if folder.order != order:
@@ -265,7 +265,7 @@ def meant(name: str, value: Any) -> Any:
 
 
 def plot_scales(largest: float) -> dict[str, Any]:
-    """Of the plot: reflectance from 0, its top changing in few steps."""
+    """Return scales of the plot: reflectance from 0 to one of a few upper limits."""
     from viser import uplot
 
     top = next(t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 1.0) if largest < t or t == 1.0)

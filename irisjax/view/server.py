@@ -299,13 +299,13 @@ class Newest(threading.Thread):
         self._news = threading.Condition()
 
     def put(self, **changes: Any) -> None:
-        """Ask for some changes, on top of those that still wait."""
+        """Request some changes, in addition to those that still wait."""
         with self._news:
             self._waiting = {**(self._waiting or {}), **changes}
             self._news.notify_all()
 
     def quiet(self, seconds: float) -> bool:
-        """Whether nothing comes for so long; for the work itself to ask."""
+        """Wait so long and return whether no change was requested; called by the work."""
         with self._news:
             return not self._news.wait_for(
                 lambda: self._waiting is not None or self._stopped, seconds

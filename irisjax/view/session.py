@@ -34,8 +34,9 @@ SURROUNDS: dict[str, Callable[[], Environment] | None] = {
 
 @dataclasses.dataclass(frozen=True)
 class CommonSettings:
-    """What can be changed whatever the iris is made of; a scene's own values are where it starts.
-    `panels.SLIDERS` says what the other fields are; those of light are the first lamp's.
+    """Settings of every kind of iris; they start with the scene's own values.
+
+    `panels.SLIDERS` describes the other fields; those of light are the first lamp's.
 
     Attributes:
         environment: A name, or `GIVEN` for the scene's own.
@@ -57,7 +58,7 @@ class CommonSettings:
 
 @dataclasses.dataclass(frozen=True)
 class Settings(CommonSettings):
-    """What can be changed of an eye of tissue; `panels.SLIDERS` says what the other fields are.
+    """Settings of an eye of tissue; `panels.SLIDERS` describes the other fields.
 
     Attributes:
         preset: A name, or `GIVEN` for the scene's own iris.

@@ -62,7 +62,7 @@ class Studio(Session[Settings]):
         Args:
             scene: The scene.
             tables_of: Computes the illumination tables of a scene, or reads them.
-            photograph: What the scene's camera saw, sRGB, 8 bits, sides in proportion to the
+            photograph: Photograph from the scene's camera, sRGB, 8 bits, sides in proportion to the
                 picture's; the left half of the first picture shows it.
             file: The file of the scene, for `scene_text`.
             given: Settings that the scene does not hold, such as the name of its `preset`.
@@ -145,7 +145,7 @@ class Studio(Session[Settings]):
         return scene_text(scene, named, "An eye as it is set in `irisjax view`.")
 
     def _look(self, s: Settings):
-        """What the pigments of a preset depend on."""
+        """Settings that the pigments of a preset depend on."""
         return s.preset, s.preset != GIVEN and type(self._integrator(s).process)
 
     def _integrator(self, s: Settings) -> AbstractIntegrator:

@@ -1,4 +1,4 @@
-"""One event of a photon by the rules of ILIT, as LB06 tells it."""
+"""One event of a photon by the rules of ILIT  [LB06 Section 3, Fig. 4]."""
 
 import jax.numpy as jnp
 

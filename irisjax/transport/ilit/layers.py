@@ -1,8 +1,8 @@
-"""What ILIT's layers do to light whose direction was redrawn on entering them.
+"""Responses of ILIT's layers to light whose direction was redrawn on entering them.
 
-A layer is known by the chance that a cosine-distributed entry leaves above or below. At each cosine
-the internal reflections are a geometric series; scattering in the stroma closes in a linear system
-of the phase function's rank.
+A layer is described by the probability that a cosine-distributed entry leaves above or below. At
+each cosine the internal reflections are a geometric series; scattering in the stroma closes in a
+linear system of the phase function's rank.
 """
 
 import dataclasses

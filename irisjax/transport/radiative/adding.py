@@ -75,8 +75,8 @@ class AddingDoubling(AbstractSolver):
 
     @classmethod
     def following(cls, anisotropy: Real) -> "AddingDoubling":
-        """With as many angles as a BRDF takes of a stroma that scatters with this mean cosine; the
-        usual number where it is traced.
+        """Make a solver with enough angles for a BRDF of a stroma that scatters with this mean
+        cosine; the usual number if it is traced.
         """
         if isinstance(anisotropy, Tracer):
             return cls()

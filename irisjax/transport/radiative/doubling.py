@@ -17,7 +17,7 @@ from irisjax.transport.radiative.slab import mean_absence, mean_survival
 
 
 class Response(NamedTuple):
-    """What a slab makes of radiance 1 along each column: scattered radiance back and on, shape
+    """Response of a slab to radiance 1 along each column: scattered radiance back and on, shape
     (rows, columns), and the flux absorbed (columns,).
     """
 
@@ -86,8 +86,8 @@ def thin(medium: Medium, lines: Lines) -> Response:
     stays_on, stays_back = (on * (mean - down))[:n], (back * (mean - up))[:n]
 
     def later(sign):
-        """Of light down and up together, or of their difference: sources after one scattering and
-        more; and all scattered light inside, in the mean over the depth.
+        """Compute the sum (sign 1) or the difference (sign −1) of light down and up: sources after
+        one or more scatterings, and the mean over the depth of all scattered light inside.
         """
         kernel = on[:, :n] + sign * back[:, :n]
         once = stays_on + sign * stays_back

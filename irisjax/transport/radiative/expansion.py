@@ -108,10 +108,10 @@ def _means(phase: PhaseMixture, moments, peak, lines: Lines):
 
 
 def _correction(near, into, weight, missed):
-    """Of all values at nodes that have the half-range moments `missed` (senses, moments, columns),
-    the least in the mean square where `near` (senses, nodes, columns) is its weight.
+    """Find the values at nodes with half-range moments `missed` (senses, moments, columns) whose
+    mean square, divided by the weight `near` (senses, nodes, columns), is least.
 
-    By orthogonal polynomials: beside a sharp peak the normal equations lose float32's digits.
+    It uses orthogonal polynomials: beside a sharp peak the normal equations lose float32's digits.
     """
     root, known, found = jnp.sqrt(near * weight[None, :, None]), [], 0.0
     for order in range(_KEPT):

@@ -1,4 +1,4 @@
-"""Whether a slab's depth polynomials are enough, and whether precision is."""
+"""Tests of whether depth polynomials, angles and precision suffice for some layers."""
 
 import jax
 import jax.numpy as jnp
@@ -44,11 +44,11 @@ def seen_depth(extinction: jax.Array, coalbedo: jax.Array) -> jax.Array:
 
 
 def steepness(layers: Layers, light: Light) -> jax.Array:
-    """By how much sources change faster in depth than those of light at a cosine of 0.25 in the
-    stroma, because of light from or into a single direction nearer to grazing; 1 at least. LB06's
-    stroma, denser than the aqueous humour, has no such direction.
+    """Factor, 1 or more, by which sources change faster in depth than those of light at a cosine of
+    0.25 in the stroma, because a beam or an exit is nearer to grazing.
 
-    Diffuse light has 1: what grazes is little of it.
+    It is 1 in LB06's stroma, which is denser than the aqueous humour, and for diffuse light, little
+    of which is grazing.
     """
     n, steep = layers.indices, jnp.ones((), layers.extinction.dtype)
     for outside in (light.cosine, None if light.exits is None else light.exits.cosine):
@@ -63,7 +63,7 @@ def steepness(layers: Layers, light: Light) -> jax.Array:
 
 
 def _coarseness(layers: Layers, n_depths: int, n_panels: int, slant: Real = 1.0):
-    """How coarse the panels are; the relative error of reflectance is about 8e-7 of its cube.
+    """Coarseness of the panels; the relative error of reflectance is about 8e-7 times its cube.
 
     Fitted to a scan over depths 0.1 to 32, albedos 0.003 to 1, 6 to 10 polynomials
     (test_depth_resolved.py checks it at other points). Light scattered twice makes the error, hence
@@ -120,7 +120,7 @@ def moments_for(anisotropy: float) -> int:
 
 
 def _beyond(phase: PhaseMixture, n_angles: int):
-    """What the phase function has in moments beyond those that count."""
+    """Size of the first moment of the phase function that is left out."""
     return (1 - phase.rayleigh) * jnp.abs(phase.anisotropy) ** n_angles
 
 

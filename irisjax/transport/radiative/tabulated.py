@@ -135,7 +135,7 @@ class RadiativeTabulated(AbstractSolver):
 
 
 class _Coordinates(NamedTuple):
-    """Of layers in the tables, shape (wavelengths,)."""
+    """Coordinates of layers in the tables, shape (wavelengths,)."""
 
     abl: jax.Array
     depth: jax.Array

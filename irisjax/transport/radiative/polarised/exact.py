@@ -47,14 +47,14 @@ def solve_polarised(
     how: tuple[int, int],
     modes: tuple[PolarisedMode, ...] = RAYLEIGH,
 ) -> tuple[Flux, Polarisation | None]:
-    """Where unpolarised light goes, and Mueller matrices where they are requested.
+    """Compute the fate of unpolarised light, and Mueller matrices if they are requested.
 
     Args:
         layers: As in `AbstractSolver.solve`.
-        light: Likewise.
+        light: As in `AbstractSolver.solve`.
         n_angles: Quadrature nodes over the cosine.
         how: Polynomials and panels in depth.
-        modes: Those of the phase matrix, the first that of the whole intensity.
+        modes: Modes of the phase matrix, first that of the whole intensity.
     """
     lit = beams_and_exits(layers, light, 2 * n_angles, ordinates=partial(polarised, from_outside))
     wanted = light.matrices or lit.exits is not None
@@ -201,8 +201,8 @@ def _azimuthal(order: int, azimuth):
 
 
 def _collected(mode: PolarisedMode, flux, leaving):
-    """What a lens collects over the hemisphere, seen in its plane: I_l, I_r, U and V along and
-    across the plane of incidence. Orders 0 and 2 alone outlast the average over azimuth.
+    """Integrate over the hemisphere what a lens collects: I_l, I_r, U and V in its plane, along and
+    across the plane of incidence. Only orders 0 and 2 remain after the average over azimuth.
     """
     p, s, u, v = (flux @ leaving[:, k] for k in range(4))
     nothing = jnp.zeros_like(p)

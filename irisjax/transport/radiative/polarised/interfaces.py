@@ -1,4 +1,4 @@
-"""What light meets at the layers' interfaces: I_l and I_r by themselves, W = (U + iV)/√2 turned.
+"""Interfaces of the layers for polarised light: I_l, I_r and W = (U + iV)/√2.
 
 No interface couples these three; total reflection turns U into V, which is a phase of W.
 """
@@ -36,7 +36,7 @@ class PolarisedOrdinates(NamedTuple):
 
 
 class Met(NamedTuple):
-    """What light along directions meets in and above the slab.
+    """The slab and the ABL for light along directions.
 
     - `linear`: the slab's depth polynomials for I_l and I_r, one after the other.
     - `real`, `imaginary`: the same for W, with the real and the imaginary parts of its images.
@@ -143,8 +143,8 @@ def unscattered(
     outside: jax.Array,
     n: RefractiveIndices,
 ) -> tuple[jax.Array, jax.Array]:
-    """Of W of beams with cosines `outside` in the aqueous humour, which `met` what is below: what
-    the first surface reflects, and what the inner interfaces do.
+    """Compute the W of beams (cosines `outside` in the aqueous humour) that the first surface and
+    the inner interfaces reflect without scattering; `met` describes the layers for the beams.
     """
     inside = refract(outside, n.aqueous, n.abl)
     first = coherence(outside, inside, n.aqueous, n.abl)
