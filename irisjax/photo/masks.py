@@ -1,11 +1,12 @@
 """The part of a photograph that shows the eye, and masks of what hides the iris in it."""
 
+import itertools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy import ndimage, stats
+from scipy import ndimage, spatial, stats
 from skimage import filters, measure, morphology, transform
 
 from irisjax.photo.edges import by_channel
@@ -19,19 +20,28 @@ _NORMAL = 1 / 1.4826  # median absolute deviation over standard deviation of a n
 _SEEN_AROUND = 1.35  # semi-axes of the limbus within which lashes begin
 # Contrast of lashes: 99 % of the textures of simulated irides stay below 0.29.
 _LASH_CLEAR = 0.15, 0.35
-_OF_A_LID = 0.3  # least share of a lid that looks like the skin beyond; shadow and lashes do not
+# Lids:
+_UNLIKE_IRIS = 3.0  # differences in units of the usual scatter
+# Brightness, red against blue, green against both.
+_OPPONENT = np.array([LUMINANCE_WEIGHTS, (1, 0, -1), (-1, 2, -1)])
+_LIKE_SKIN = 0.35  # difference of the logarithms
+_LID_EDGES = (-0.15, 0.0, 0.15, 0.3, 0.45, 0.6), np.linspace(-0.3, 0.3, 7)  # bends and slopes
+_LEAST_LID, _OF_A_LID = 0.012, 0.2  # least score, of the iris's pixels and of the lid's
 # Shadows of lashes, in units of the limbus's radius:
-_REACH = 0.4  # distance from a lid
+_REACH = 0.33  # distance from a lid
 _STREAK, _STREAK_AROUND = 0.004, 0.03  # widths of a streak and of its surroundings
 _SHORTEST, _WIDEST = 0.04, 0.035  # crypts, which are as dark, are wider
 _CLEAR = 0.025, 0.05  # encoded contrast
+_NARROW = 0.025  # least half width of a part that is clear, in units of the limbus's radius
 _ISLAND = 0.02  # share of the iris below which a separate part is dropped
 # Wide mirror images:
 _RINGS = 24  # within the limbus
-_LEAST_SCATTER = 0.025  # of an encoded channel
-_BRIGHTER = 0.12, 0.18  # least encoded differences of luminance, of white ones and of bluish ones
-_STRANGE = 3.0, 1.5  # differences in units of the usual scatter, of seeds and of what is beside
-_FIBRES, _WIDE = 0.007, 0.015  # smoothing; least radius; of the picture _SEEN_AROUND the limbus
+_LEAST_SCATTER = 0.01  # of an encoded channel
+_CLIPPED, _COMMON = 8, 3.5  # times that the scatter is estimated; strangeness that counts in it
+_BRIGHTER = 0.06, 0.12  # least encoded differences of luminance, beside the pupil's and of others
+_STRANGE = 3.0  # mean of a region, in units of the scatter
+_FIBRES, _WIDE, _BESIDE = 0.007, 0.015, 0.08  # smoothing; least radius; reach of narrow parts, of
+# the picture _SEEN_AROUND the limbus
 # The mirror image of the face:
 _FACE_ANGLE = 90.0  # degrees from the eye's axis beyond which a mirrored line ends on the face
 _FACE_SHARE = 0.1  # share of a pixel's light above which the mirror image hides the iris
@@ -76,10 +86,14 @@ class Part(NamedTuple):
         lids = find_lids(self.pixels, self.limbus, pupil)
         ring = self.limbus.mask(self.outside.shape) & ~pupil.mask(self.outside.shape)
         covered = find_highlights(self.pixels, self.saturated & ring, ring)
-        covered |= find_reflections(self.pixels, self.limbus, ring & ~lids)
+        covered |= find_reflections(self.pixels, self.limbus, pupil, ring & ~lids)
         covered |= lids | find_lashes(self.pixels, self.limbus, lids)
         clear = ring & ~covered & ~self.outside
         clear &= ~find_lash_shadows(self.pixels, self.limbus, lids, clear)
+        # Strips between masked parts are part of these.
+        narrow = _NARROW * self.limbus.semi_axes[0]
+        broad = np.asarray(ndimage.distance_transform_edt(clear)) > narrow
+        clear &= np.asarray(ndimage.distance_transform_edt(~broad)) < narrow + 1.5
         return without_islands(clear), lids
 
 
@@ -115,9 +129,11 @@ def find_lash_shadows(pixels: Colours, limbus: Ellipse, lids: Mask, clear: Mask)
     encoded = _encoded(pixels @ LUMINANCE_WEIGHTS).astype(np.float32)
     around, there = (masked_mean(encoded, clear, s * radius) for s in (_STREAK_AROUND, _STREAK))
     away = np.asarray(ndimage.distance_transform_edt(~lids), np.float32)
-    near = away < _REACH * radius
-    streak = np.where(clear & near, (around - there) / np.maximum(around, 1e-3), 0)
-    dark = filters.apply_hysteresis_threshold(streak, *_CLEAR)
+    near, streak = away < _REACH * radius, clear * (around - there) / np.maximum(around, 1e-3)
+    # Furrows elsewhere are no shadows of lashes.
+    furrows = np.quantile(streak[clear & ~near], 0.98) if (clear & ~near).any() else 0.0
+    low, high = np.array(_CLEAR) * max(1.0, furrows / _CLEAR[0])
+    dark = filters.apply_hysteresis_threshold(near * streak, low, high)
 
     def lash(region, at):
         long, wide = region.axis_major_length, region.axis_minor_length
@@ -183,42 +199,55 @@ def find_highlights(pixels: Colours, saturated: Mask, iris: Mask) -> Mask:
     return (part.enlarged(found) | saturated) & iris
 
 
-def find_reflections(pixels: Colours, limbus: Ellipse, iris: Mask) -> Mask:
-    """Find wide mirror images that are not burnt out: of a window, a soft box, the sky.
+def find_reflections(pixels: Colours, limbus: Ellipse, pupil: Ellipse, iris: Mask) -> Mask:
+    """Find wide mirror images of a window, a soft box or the sky, burnt out or not.
 
     They add light to the iris: white, or bluer than the iris wherever they do not take light from
-    it. Each pixel is compared with the medians and scatters of its channels at its radius, where a
-    ring of another colour is usual. A sector of a much paler colour looks the same and is marked.
+    it. Each pixel is compared with the median colour at its radius, where a ring of another colour
+    is usual, in units of the colours' scatter over the iris. A tissue's colours vary along a line,
+    which added light leaves. Over the pupil a mirror image is seen alone: what continues one over
+    the iris may be fainter. A sector of a much paler colour looks the same and is marked.
     """
-    if not iris.any():
-        return np.zeros_like(iris)
     part, radius, small = _around_limbus(pixels, limbus)
     counted = part.reduced(iris) > 0.9
     if not counted.any():
         return np.zeros_like(iris)
     size, ring = max(radius.shape), (radius * _RINGS).astype(int)
-    # Fibres are as bright as some reflections, but not as wide.
-    sigma = _FIBRES * size
-    encoded = [masked_mean(c, counted, sigma) for c in np.moveaxis(_encoded(small), -1, 0)]
-    encoded = np.stack(encoded, -1)
-    strange, usual = np.zeros(radius.shape), np.zeros_like(small)
+    disk = morphology.disk(max(1, round(_WIDE * size)))
+    seen = [masked_mean(c, counted, _FIBRES * size) for c in np.moveaxis(_encoded(small), -1, 0)]
+    encoded, usual = np.stack(seen, -1), np.zeros_like(small)
     for k in np.unique(ring[counted]):
-        known, at = encoded[counted & (ring == k)], ring == k
-        usual[at] = np.median(known, 0)
-        scatter = np.maximum(stats.median_abs_deviation(known, scale=_NORMAL), _LEAST_SCATTER)
-        strange[at] = ((encoded[at] - usual[at]) / scatter).max(-1)
-    excess = (encoded - usual) @ LUMINANCE_WEIGHTS
-    more = encoded**2.2 - usual**2.2
+        usual[ring == k] = np.median(encoded[counted & (ring == k)], 0)
+    off = encoded - usual
+    strange, common = np.zeros(radius.shape), counted
+    for _ in range(_CLIPPED):
+        spread = np.cov(off[common].T, bias=True) + _LEAST_SCATTER**2 * np.eye(3)
+        strange = np.sqrt(np.einsum("...i,ij,...j", off, np.linalg.inv(spread), off))
+        common = counted & (strange < _COMMON)
+    excess, more = off @ LUMINANCE_WEIGHTS, encoded**2.2 - usual**2.2
     most = np.maximum(more.max(-1), 1e-6)
     white = np.ptp(more, axis=-1) < 0.6 * most
     sky = (more.argmax(-1) == 2) & (more.min(-1) > -0.15 * most)
-    seeds = (white & (excess > _BRIGHTER[0])) | (sky & (excess > _BRIGHTER[1]))
-    seeds &= counted & (strange > _STRANGE[0])
-    seeds = morphology.opening(seeds, morphology.disk(max(1, round(_WIDE * size))))
-    glow = counted & (white | sky) & (excess > _BRIGHTER[0] / 3) & (strange > _STRANGE[1])
-    found = filters.apply_hysteresis_threshold((glow | seeds).astype(np.uint8) + seeds, 0.5, 1.5)
-    found &= np.asarray(ndimage.distance_transform_edt(~seeds)) <= max(2.0, 0.02 * size)
-    return part.enlarged(_grown(found, max(1, size // 200))) & iris
+    glow = counted & (white | sky) & (excess > _BRIGHTER[0] / 2)
+    # Over the black pupil.
+    black = part.reduced(pupil.mask(iris.shape)) > 0.9
+    light = morphology.opening(_encoded(small @ LUMINANCE_WEIGHTS), disk)
+    dark = np.quantile(light[black], 0.25) if black.any() else 0.0
+    mirrored = _grown(black & (light > dark + _BRIGHTER[0]), 2 + round(0.02 * size))
+
+    def added(region, at):
+        least = _BRIGHTER[0 if mirrored[at].sum() > math.sqrt(region.area) else 1]
+        return excess[at].mean() > least and strange[at].mean() > _STRANGE
+
+    # Fibres are as bright as some reflections, but not as wide.
+    wide = regions_that(added, morphology.opening(glow & (strange > _STRANGE / 2), disk))
+    # Between mirrored lashes they are as narrow.
+    near = np.asarray(ndimage.distance_transform_edt(~wide)) < max(2.0, _BESIDE * size)
+    beside = glow & near & (strange > _STRANGE / 3)
+    found = filters.apply_hysteresis_threshold(beside.astype(np.uint8) + wide, 0.5, 1.5)
+    gaps = morphology.disk(max(1, round(2 * _WIDE * size)))
+    found = _grown(np.asarray(morphology.closing(found, gaps)), max(1, size // 200))
+    return part.enlarged(found) & iris
 
 
 def find_lashes(pixels: Colours, limbus: Ellipse, lids: Mask) -> Mask:
@@ -257,45 +286,46 @@ def find_lashes(pixels: Colours, limbus: Ellipse, lids: Mask) -> Mask:
 
 
 def find_lids(pixels: Colours, limbus: Ellipse, pupil: Ellipse) -> Mask:
-    """Find pixels within the limbus that lids cover.
+    """Find pixels within the limbus that lids cover, and those in their shadow.
 
     The sides of the iris, which lids never reach, give the usual brightness and colour at each
-    radius. Parts above and below that differ from these and reach the limbus are lids if a good
-    deal of them goes on outside the limbus; the rest is the lid's shadow, and different parts
-    beside a lid count as shadow, too. Lids are marked with a small margin. A lid of the iris's own
-    colour is not found, nor is any if light and shadow divide the eye.
+    radius. A lid differs from both sides, and its colours are those of the skin and lashes beyond
+    the limbus. Its edge is the parabola above (or below) which most pixels are so and fewest are
+    not. Dark parts of the iris beside a lid are its shadow. A lid of the iris's own colour is not
+    found.
     """
     part, radius, small = _around_limbus(pixels, limbus)
     size = max(radius.shape)
-    inside = part.reduced(pupil.mask(pixels.shape[:2])) < 0.5
     smooth = ndimage.gaussian_filter(small, (0.012 * size,) * 2 + (0,))
     light = np.log(np.maximum(smooth, 0) + 0.02 * max(float(np.median(smooth)), 1e-4))
-    # Brightness and colour.
-    seen = np.stack([light @ LUMINANCE_WEIGHTS, light[..., 0] - light[..., 2]], -1)
+    seen = light @ _OPPONENT.T
     row, column = np.mgrid[: radius.shape[0], : radius.shape[1]]
     x, y = part.small(limbus)
-    aside = np.abs(row - y) < 0.5 * np.abs(column - x)
-    ring = np.minimum((radius * 20).astype(int), int(20 * _SEEN_AROUND))
-    strange = np.zeros(radius.shape)
-    for k in range(20):
-        at = (ring == k) & inside
-        if (at & aside).sum() >= 8:
-            known = seen[at & aside]
-            scatter = np.maximum(stats.median_abs_deviation(known, scale=_NORMAL), 0.12)
-            strange[at] = np.linalg.norm((seen[at] - np.median(known, 0)) / scatter, axis=-1)
-    strange *= (radius < 1) & ~aside
-    covered = filters.apply_hysteresis_threshold(strange, 2.5, 4.0)
-    covered = morphology.opening(covered, morphology.disk(max(1, round(0.02 * size))))
-    label, found = np.asarray(measure.label(covered)), np.zeros_like(covered)
-    for k in np.unique(label[covered & (radius > 0.93)]):
-        at = label == k
-        beyond = _grown(at, round(0.05 * size)) & (radius > 1.03) & (radius < 1.2)
-        if beyond.any():
-            step = np.abs(seen[at & (radius > 0.8)] - np.median(seen[beyond], 0)).max(-1)
-            if (step < 0.5).mean() > _OF_A_LID:
-                found |= at | _beyond_edge(at, upper=bool(row[at].mean() < y))
-    beside = label[_grown(found, round(0.02 * size))]
-    shadow = np.isin(label, np.setdiff1d(beside, 0))
+    across, down = ((c - m) * (2 * _SEEN_AROUND / size) for c, m in ((column, x), (row, y)))
+    iris = (part.reduced(pupil.mask(pixels.shape[:2])) < 0.5) & (radius < 1)
+    off = [
+        _unlike_side(seen, radius, iris & side & (np.abs(down) < 0.5 * np.abs(across)))
+        for side in (across < 0, across > 0)
+    ]
+    strange = iris * np.nan_to_num(np.fmin(*(np.linalg.norm(o, axis=-1) for o in off)))
+    found = np.zeros_like(iris)
+    for height in (-down, down):
+        skin = (radius > 1.05) & (radius < _SEEN_AROUND) & (height > 0.7 * np.abs(across))
+        if not skin.any():
+            continue
+        score, unlike = -1.0 * iris, spatial.KDTree(seen[skin]).query(seen[iris])[0]
+        like = unlike < _LIKE_SKIN
+        score[iris] += like * np.minimum(strange[iris] / _UNLIKE_IRIS, 2)
+        edges = itertools.product(*_LID_EDGES)
+        above = [height + bend * across**2 + lean * across for bend, lean in edges]
+        total, lid = max((_best_level(score, a) for a in above), key=lambda best: best[0])
+        if total > max(_LEAST_LID * iris.sum(), _OF_A_LID * (lid & iris).sum()):
+            found |= lid
+    dark = (np.fmax(*off)[..., 0] < 0) & (strange > _UNLIKE_IRIS)
+    dark = morphology.opening(dark, morphology.disk(max(1, round(0.02 * size))))
+    beside = _grown(found, max(1, round(0.02 * size)))
+    near = np.asarray(ndimage.distance_transform_edt(~found)) * 2 * _SEEN_AROUND < _REACH * size
+    shadow = regions_that(lambda _, at: beside[at].any(), dark & iris & near)
     return part.enlarged(found | shadow) & limbus.mask(pixels.shape[:2])
 
 
@@ -413,15 +443,25 @@ def _around_limbus(pixels: np.ndarray, limbus: Ellipse):
     return part, limbus.relative_radius(column, row[:, None]), part.reduced(pixels)
 
 
-def _beyond_edge(lid: np.ndarray, upper: bool) -> np.ndarray:
-    """All pixels beyond a lid's edge, continued as a parabola: at its ends the blur hides it."""
-    columns = np.flatnonzero(lid.any(0))
-    if len(columns) < 0.15 * lid.shape[1]:  # too short to be continued
-        return lid
-    rows = [np.flatnonzero(lid[:, c])[-1 if upper else 0] for c in columns]
-    edge = np.poly1d(np.polyfit(columns, rows, 2))(np.arange(lid.shape[1]))
-    row = np.arange(len(lid))[:, None]
-    return row <= edge if upper else row >= edge
+def _unlike_side(seen: np.ndarray, radius: np.ndarray, side: Mask) -> np.ndarray:
+    """Differences from the medians at each radius of a side of the iris, in units of its usual
+    scatter.
+    """
+    ring, scatter = np.minimum((radius * 20).astype(int), 20), [np.full(3, 0.12)]
+    usual = np.full((21, 3), np.nan)
+    for k in np.unique(ring[side]):
+        known = seen[side & (ring == k)]
+        usual[k] = np.median(known, 0)
+        scatter.append(stats.median_abs_deviation(known, scale=_NORMAL))
+    return (seen - usual[ring]) / np.maximum(np.median(scatter, 0), scatter[0])
+
+
+def _best_level(score: np.ndarray, above: np.ndarray) -> tuple[float, Mask]:
+    """The largest sum of a score over the places above some level, and these places."""
+    level = np.clip(100 * above, 0, 150).astype(int)
+    sums = np.bincount(level.ravel(), score.ravel(), 151)[::-1].cumsum()[::-1]
+    best = 1 + int(np.argmax(sums[1:]))
+    return float(sums[best]), level >= best
 
 
 def _usual(streak: np.ndarray) -> float:

@@ -19,7 +19,7 @@ LIMBUS, PUPIL = Ellipse((240, 180), (110, 108)), Ellipse((240, 180), (40, 39))
 RING = LIMBUS.mask(SHAPE) & ~PUPIL.mask(SHAPE)
 ROW, COLUMN = np.indices(SHAPE)
 NONE = np.zeros(SHAPE, bool)
-SKIN = np.array([0.5, 0.3, 0.2])
+SKIN, SKY = np.array([0.5, 0.3, 0.2]), np.array([0.05, 0.07, 0.12])
 
 
 def _eye(grey=False):
@@ -58,10 +58,24 @@ def test_a_window_that_is_not_burnt_out_is_found(grey):
     pixels[(radius < 0.55) & RING] *= 1.0 if grey else np.array([2.0, 1.4, 0.5])
     window = (np.abs(COLUMN - 310) < 22) & (np.abs(ROW - 200) < 25) & RING
     pixels[window] += np.full(3, 0.35) if grey else np.array([0.25, 0.32, 0.42])
-    found = find_reflections(pixels, LIMBUS, RING)
+    found = find_reflections(pixels, LIMBUS, PUPIL, RING)
     assert found[window].mean() > 0.9
     away = ndimage.distance_transform_edt(~window)
     assert not found[away > 8].any()
+
+
+def test_a_faint_sky_over_the_pupil_is_followed_over_the_iris():
+    """A brown iris hardly shows it; the black pupil does."""
+    pixels = _eye()
+    pixels[RING] *= [1.6, 0.8, 0.3]
+    sky = (np.abs(COLUMN - 240) < 80) & (np.abs(ROW - 165) < 18)
+    alone = pixels.copy()
+    alone[sky & RING] += SKY
+    assert not find_reflections(alone, LIMBUS, PUPIL, RING).any()
+    pixels[sky] += SKY
+    found = find_reflections(pixels, LIMBUS, PUPIL, RING)
+    assert found[sky & RING].mean() > 0.9
+    assert not found[ndimage.distance_transform_edt(~sky) > 10].any()
 
 
 def _lashes():
@@ -96,13 +110,24 @@ def test_a_lid_over_the_iris_is_found(grey):
     assert not found[RING & (ndimage.distance_transform_edt(~lid) > 6)].any()
 
 
+def test_a_lid_behind_dark_lashes_is_found_beside_a_window():
+    """A window on one side of the iris, which the other side does not have."""
+    pixels = _eye()
+    lid = ROW < 105 + ((COLUMN - 240) / 60) ** 2
+    pixels[lid] = SKIN * np.where((COLUMN // 3) % 3 == 0, 0.05, 0.8)[lid, None]
+    pixels[(np.abs(COLUMN - 170) < 20) & (np.abs(ROW - 170) < 25)] = 0.9
+    found = find_lids(pixels, LIMBUS, PUPIL)
+    assert found[lid & RING].mean() > 0.85
+    assert not found[RING & (ndimage.distance_transform_edt(~lid) > 12)].any()
+
+
 @pytest.mark.parametrize("grey", [False, True])
 def test_nothing_hides_an_open_eye(grey):
     pixels = _eye(grey)
     assert not find_highlights(pixels, NONE, RING).any()
     assert not find_highlights(pixels, NONE, NONE).any()
-    assert not find_reflections(pixels, LIMBUS, RING).any()
-    assert not find_reflections(pixels, LIMBUS, NONE).any()
+    assert not find_reflections(pixels, LIMBUS, PUPIL, RING).any()
+    assert not find_reflections(pixels, LIMBUS, PUPIL, NONE).any()
     assert not find_lashes(pixels, LIMBUS, NONE).any()
     assert not find_lids(pixels, LIMBUS, PUPIL).any()
 
