@@ -165,6 +165,7 @@ def test_every_import_is_declared():
         "arviz",
         "cubes",
         "cluster",
+        "posteriors",
     )
     assert undeclared(package, *extras) == {}
     assert undeclared(tests, "dev") == {}

@@ -1,5 +1,13 @@
 """Public names of `irisjax.infer`; each loads from its module when it is first used."""
 
+from .amortised import PosteriorFlow as PosteriorFlow
+from .amortised import Weighted as Weighted
+from .amortised import flow_name as flow_name
+from .amortised import read_flow as read_flow
+from .amortised import save_flow as save_flow
+from .amortised import train_flow as train_flow
+from .amortised import weighted_draws as weighted_draws
+from .amortised import with_chains as with_chains
 from .analysis import PredictiveCheck as PredictiveCheck
 from .analysis import Row as Row
 from .analysis import predictive as predictive

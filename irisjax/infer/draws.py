@@ -4,9 +4,10 @@ from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from irisjax._types import PRNGKey
-from irisjax.infer.posterior import Chains, words_of
+from irisjax.infer.posterior import Chains, ChainStatus, words_of
 from irisjax.infer.problem import Problem, predicted, reported
 
 Labelled: TypeAlias = dict[str, tuple[tuple[str, ...], np.ndarray]]
@@ -30,6 +31,16 @@ class ArvizGroups(NamedTuple):
     arrays: dict[str, Labelled]
     coordinates: dict[str, np.ndarray]
     every: int
+
+
+def of_draws(problem: Problem, z: Float[np.ndarray, "draws free"]) -> Chains:
+    """Return independent draws of a posterior in the form of a chain of one walker."""
+    count, ones = len(z), np.ones(z.shape[1])
+    logs = problem.log_density(z)[:, None]
+    status = ChainStatus.successful
+    return Chains(
+        z[:, None], logs, 1, count, 1.0, ones, count * ones, count * ones, ones, status, ""
+    )
 
 
 def arviz_groups(problem: Problem, chains: Chains, *, key: PRNGKey) -> ArvizGroups:

@@ -54,6 +54,8 @@ class PixelFlag(enum.IntFlag):
     NOT_CONVERGED = 8
     OFF_PRIOR = 16
     MISFIT = 32
+    OUT_OF_DISTRIBUTION = 64
+    NO_POSTERIOR = 128
 
 
 class Starts(NamedTuple):
@@ -71,6 +73,7 @@ class PixelFits(NamedTuple):
         z: The optimum in the priors' normal coordinates.
         values: The fitted parameters in their units, `noise` left out.
         covariance: Of the values, to first order, with the priors' part.
+        z_covariance: The same of z; zero for the noise, which is not fitted.
         predicted: The spectrum at the optimum.
         chi_square: Σ of squared residuals over their number.
         flags: A sum of `PixelFlag`.
@@ -83,6 +86,7 @@ class PixelFits(NamedTuple):
     predicted: Float[np.ndarray, "pixels data"]
     chi_square: Float[np.ndarray, " pixels"]
     flags: Any
+    z_covariance: Float[np.ndarray, "pixels free free"]
     names: tuple[str, ...]
 
     @property
@@ -140,7 +144,7 @@ def fit_pixels(
     return PixelFits(
         found["z"], found["values"][:, moving],
         slopes[:, :, None] * covariance * slopes[:, None, :], found["predicted"],
-        found["chi_square"], flags.astype(np.uint8), tuple(problem.fitted),
+        found["chi_square"], flags.astype(np.uint8), found["covariance"], tuple(problem.fitted),
     )  # fmt: skip
 
 
