@@ -41,6 +41,7 @@ _EXTRAS = {
     "raw": ("rawpy",),
     "cubes": ("spectral", "xarray", "zarr"),
     "cluster": ("dask", "distributed"),
+    "posteriors": ("flowjax", "optax", "paramax"),
 }
 """Extras of the package and the modules that they bring; an extra may bring another's too."""
 

@@ -1,6 +1,8 @@
 """`irisjax fit --batch`: a row for each eye, failures listed, resumed where it stopped."""
 
-from collections.abc import Iterator, Mapping
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +16,17 @@ from irisjax import io
 from irisjax.cli import options as opt
 from irisjax.cli import report
 from irisjax.cli.engine import Lost, Workers, each
-from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler, process_of
+from irisjax.cli.fit_options import AMORTISED, FitResults, Measurements, Model, Sampler, process_of
+from irisjax.cli.flows import flow_for
 from irisjax.cli.many import DOUBTFUL, FAILED, OK, EyeRow, EyeTable, csv_of
 from irisjax.cli.sentences import of_the_data, preference
+from irisjax.infer.amortised import EFFICIENT, read_flow, weighted_draws
+from irisjax.infer.draws import of_draws
 from irisjax.infer.fit import OFF_PRIOR, Fit, FitStatus, abl_melanin, fit, words_for
 from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.model_comparison import compare_processes, other_of
 from irisjax.infer.observation import with_values
-from irisjax.infer.problem import Problem
+from irisjax.infer.problem import Problem, reported
 from irisjax.io.fits import (
     CONVERGED,
     COVARIANCES,
@@ -30,11 +35,13 @@ from irisjax.io.fits import (
     read_covariances,
 )
 from irisjax.io.measured import Measured
+from irisjax.numerics.portions import cores
 from irisjax.transport.process import option_of
 
 _CHUNK = 64  # eyes a device at a time
 _PIECES, _MOST_CHUNKS = 32, 16  # of work for others: many for a fair share, each of a second or so
 _FIRST = ("eye", "status", "posterior", "warnings")
+_DRAWS = 4096  # of a flow for an eye
 _ABL = "abl_melanin", "abl_melanin_sd"
 _SUFFIXES = {f".{end}" for end in ("csv", "tsv", "txt", "asc", "dx", "jdx", "jcm", "rxt")} | {
     f".{end}" for end in ("sed", "sig", "trt", "ttt", "xlsx")
@@ -60,6 +67,8 @@ def many(
         raise ValueError(f"{source}: no spectra in it")
     if results.posteriors and output is None:
         raise ValueError("--posteriors needs -o FOLDER for what it samples")
+    if results.posteriors != AMORTISED and results.flows is not None:
+        raise ValueError("--flows means something only with --posteriors amortised")
     target = None if output is None else output / "fits.csv"
     table = EyeTable(tuple(eyes), _FIRST, "warnings", "eye", target, {})
     covariances: dict[str, list[EyeRow]] = {}
@@ -99,12 +108,19 @@ def many(
             bar.set_description("eyes", refresh=False)
             bar.update(sum(not results.posteriors or rows[n]["status"] == FAILED for n in names))
         if output is not None and results.posteriors:
+            fitted = [n for n in eyes if n in left and table.rows[n]["status"] != FAILED]
             sampled = {
                 n: ({n: eyes[n]}, seen, options_of({n: eyes[n]}), output / n, sampler, resume)
-                for n in eyes
-                if n in left and table.rows[n]["status"] != FAILED
+                for n in fitted
             }
-            for n, found in each(_sampled, sampled, workers):
+            by = _sampled
+            if results.posteriors == AMORTISED:
+                by, folder = _weighted, results.flows or output / "flows"
+                of = {
+                    n: p for c, o in chunks for n, p in _flows(c, seen, o, folder, sampler, fitted)
+                }
+                sampled = {n: (*a, of[n], table.rows[n]) for n, a in sampled.items()}
+            for n, found in each(by, sampled, workers):
                 lost = isinstance(found, Lost)
                 changed = {"status": FAILED, "warnings": found.why} if lost else found
                 table.add({n: table.rows[n] | changed})
@@ -251,6 +267,75 @@ def _judged(problem: Problem, found: Fit) -> tuple[str, list[str]]:
             value = float(found.values[name])
             said.append(f"{name} = {value:.3g} is {abs(z):.0f} standard deviations off its prior")
     return (DOUBTFUL if said else OK), said
+
+
+def _flows(
+    chunk: Eyes,
+    seen: Mapping[str, Any],
+    options: Mapping[str, Any],
+    folder: Path,
+    sampler: Sampler,
+    fitted: Sequence[str],
+) -> Iterator[tuple[str, Path]]:
+    """The file of the flow for each of some eyes on one grid."""
+    eyes = {n: m for n, m in chunk.items() if n in fitted and isinstance(m, Measured)}
+    if not eyes:
+        return
+    first = next(iter(eyes.values()))
+    problem = ij.problem(ij.spectrum(first, **seen), **options)
+    if problem.observations[0].sd is not None:
+        # A flow for the noise that the files state, in steps of two so that others may use it.
+        noise = problem.noise
+        stated = [np.hypot(noise.relative * m.values, noise.absolute) for m in eyes.values()]
+        times = np.array([m.sd for m in eyes.values()]) / np.array(stated)
+        level = 2.0 ** np.round(np.log2(np.median(times)))
+        noise = dataclasses.replace(
+            noise, relative=noise.relative * level, absolute=noise.absolute * level
+        )
+        problem = dataclasses.replace(problem, noise=noise)
+    with ThreadPoolExecutor(cores()) as pool:
+        path = flow_for(problem, folder, sampler.seed, pool.map)
+    for name in eyes:
+        yield name, path
+
+
+def _weighted(
+    eye: Eyes,
+    seen: Mapping[str, Any],
+    options: Mapping[str, Any],
+    folder: Path,
+    sampler: Sampler,
+    resume: bool,
+    path: Path,
+    row: EyeRow,
+) -> EyeRow:
+    """The posterior of an eye by a flow; what that changes in its row."""
+    ((name, measured),) = eye.items()
+    problem = ij.problem(ij.spectrum(measured, name=name, **seen), **options)
+    (o,), found = problem.observations, fit(problem, key=sampler.key)
+    values, z, covariance = (np.asarray(x)[None] for x in (o.values, found.z, found.covariance))
+    sd = None if o.sd is None else np.asarray(o.sd)[None]
+    weighted = weighted_draws(
+        read_flow(path, problem), problem, values, z, covariance, sd, draws=_DRAWS, key=sampler.key
+    )
+    unusual, (share,) = bool(weighted.unusual[0]), weighted.efficiency
+    changed = {"efficiency": f"{share:.3g}", "out_of_distribution": "yes" if unusual else "no"}
+    if unusual:
+        said = "the model's own spectra do not look like this one"
+        changed |= {
+            "status": DOUBTFUL,
+            "warnings": "; ".join(filter(None, (row["warnings"], said))),
+        }
+    if share < EFFICIENT:
+        return changed | _sampled(eye, seen, options, folder, sampler, resume)
+    folder.mkdir(parents=True, exist_ok=True)
+    draws = weighted.equal(0, _DRAWS // 2, key=sampler.key)
+    says = f"draws of a flow weighted by the likelihood, {100 * share:.0f} in 100 effective"
+    report.write_groups(folder, problem, of_draws(problem, draws), [says], sampler.key)
+    for n, x in reported(problem, draws).items():
+        ends = zip(("q2.5", "q50", "q97.5"), np.percentile(x, (2.5, 50, 97.5)), strict=True)
+        changed |= {f"{n}_{end}": f"{value:.6g}" for end, value in ends}
+    return changed | {"posterior": CONVERGED}
 
 
 def _sampled(

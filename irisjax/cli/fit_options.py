@@ -19,6 +19,8 @@ from irisjax.numerics.checks import Range
 from irisjax.transport.process import DEPTH_RESOLVED, PROCESSES, option_of
 
 Span = tuple[float, float]
+AMORTISED = "amortised"
+"""The entry of `--posteriors` for flows."""
 
 
 def _described(name: str) -> str:
@@ -229,6 +231,16 @@ class Model(PixelModel):
         return {**super().stated(headers), "separate": self.separate or ()}
 
 
+def flows_folder() -> Any:
+    """Return the option for the folder of trained flows."""
+    return opt.option(
+        "folder in which trained flows are found and kept, one for each instrument, model and "
+        "noise; default: flows in the folder for results",
+        parse=Path,
+        metavar="FOLDER",
+    )
+
+
 def process_of(headers: Iterable[Mapping[str, str]]) -> str:
     """Return the process by which irisjax simulated all of some files, or else radiative transfer,
     which measured irides follow.
@@ -259,6 +271,12 @@ class FitResults(opt.Group, panel="Files"):
         "many eyes: a folder of spectra, or a CSV with a column an eye", metavar="SOURCE"
     )
     compare: bool = opt.flag("compare models of light by their evidences")
-    posteriors: bool = opt.flag("with --batch: sample the posterior of every eye too")
+    posteriors: str | None = opt.choice(
+        "with --batch: the posterior of every eye too, by a chain, or by a flow (extra posteriors) "
+        "that is trained once and weighted by the exact likelihood, and by a chain where few of "
+        "its draws are effective",
+        ("emcee", AMORTISED),
+    )
+    flows: Path | None = flows_folder()
     resume: bool = opt.flag("continue a stopped run into the same FOLDER")
     overwrite: bool = opt.flag("replace the results in FOLDER")

@@ -19,12 +19,15 @@ from irisjax.cli import options as opt
 from irisjax.cli.engine import Lost, Workers, each
 from irisjax.cli.files import check_folder
 from irisjax.cli.fit_options import EPILOG as EPILOG
-from irisjax.cli.fit_options import PixelModel, SpectralMeasurement
+from irisjax.cli.fit_options import PixelModel, SpectralMeasurement, flows_folder
+from irisjax.cli.flows import flow_for
 from irisjax.cli.report import print_table
 from irisjax.cli.scenes import outline_of
 from irisjax.infer import pixels as fitting
+from irisjax.infer.amortised import read_flow, weighted_draws, with_chains
 from irisjax.infer.parameters import unit_of
 from irisjax.infer.pixels import PixelFits, PixelFlag, Starts
+from irisjax.infer.problem import reported
 from irisjax.io.cubes import Reflectances, Rows, read_cube, read_map, read_reference, writing_maps
 from irisjax.io.maps import encode_maps
 from irisjax.io.measured import within_range
@@ -51,6 +54,8 @@ FLAGS = {
     PixelFlag.NOT_CONVERGED: "not converged",
     PixelFlag.OFF_PRIOR: "far off a prior",
     PixelFlag.MISFIT: "misfit",
+    PixelFlag.OUT_OF_DISTRIBUTION: "out of distribution",
+    PixelFlag.NO_POSTERIOR: "no posterior",
 }
 """Flags of pixels in words."""
 
@@ -111,11 +116,26 @@ class MapFiles(opt.Group, panel="Files"):
     overwrite: bool = opt.flag("replace the maps in FOLDER")
 
 
+class PixelPosterior(opt.Group, panel="Posterior"):
+    posterior: bool = opt.flag(
+        "mean and standard deviation of every pixel's posterior too, by a flow (extra posteriors) "
+        "that is weighted by the exact likelihood"
+    )
+    flows: Path | None = flows_folder()
+    seed: int = opt.seeded("posteriors")
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name in {"flows", "seed"} & set(self.typed) if not self.posterior else ():
+            raise ValueError(f"--{name} means something only with --posterior")
+
+
 @opt.grouped
 def map_command(
     measured: CubeMeasurement,
     pixels: PixelChoice,
     model: PixelModel,
+    posterior: PixelPosterior,
     files: MapFiles,
     workers: Workers,
 ) -> None:
@@ -126,7 +146,8 @@ def map_command(
     Every pixel is fitted by least squares as irisjax fit does it, and its covariance kept.
     The cube is read by rows: it may be larger than the memory. Flags of pixels: 1 masked,
     2 no number in a band, 4 saturated, 8 not converged, 16 a parameter more than 4 standard
-    deviations off its prior, 32 the model does not produce these data; they add.
+    deviations off its prior, 32 the model does not produce these data; with --posterior 64
+    unlike the model's own spectra, 128 no posterior to be trusted; they add.
 
     Exit status: 0; 2 for wrong input.
     """
@@ -140,9 +161,14 @@ def map_command(
         if math.prod(source.cube.shape[:2]) > 4 * _SAMPLE:
             found = fitting.fit_pixels(problem, sample, starts, pool.map)
             starts = fitting.starts_at(problem, found.z, pool.map)
+        flow = None
+        if posterior.posterior:
+            flow = flow_for(problem, posterior.flows or folder / "flows", posterior.seed, pool.map)
         with _new_folder(folder), replacing(folder / "maps.nc") as made:
-            counts = _written(made, source, problem, starts, measured, workers)
-            _draw(made, folder, problem, outlines)
+            counts = _written(
+                made, source, problem, (starts, flow, posterior.seed), measured, workers
+            )
+            _draw(made, folder, problem, outlines, posterior.posterior)
     rows, columns, _ = source.cube.shape
     said = [f"{n} {FLAGS[flag]}" for flag, n in counts.items() if n]
     print_table([], _medians(folder / "maps.nc", problem), [], title=f"{folder}: medians")
@@ -247,7 +273,7 @@ def _written(
     path: Path,
     source: Reflectances,
     problem: ij.Problem,
-    starts: Starts,
+    more: tuple[Starts, Path | None, int],
     measured: CubeMeasurement,
     workers: Workers,
 ) -> dict[PixelFlag, int]:
@@ -261,6 +287,9 @@ def _written(
         prior = {"prior": form[name]} if name in form else {}
         variables[name] = (), "f4", {**said, **prior}
         variables[f"{name}_sd"] = (), "f4", {**said, "long_name": f"standard deviation of {name}"}
+        for what in ("mean", "sd") if more[1] is not None else ():
+            words = {"long_name": f"{what} of the posterior of {name}"}
+            variables[f"{name}_posterior_{what}"] = (), "f4", {**said, **words}
     wide = {"long_name": "covariance of the parameters in their units"}
     variables["covariance"] = (
         ("parameter", "other"),
@@ -269,6 +298,9 @@ def _written(
     )
     misfit = {"long_name": "sum of squared residuals over the number of bands", "units": "1"}
     variables["reduced_chi_square"] = (), "f4", {**misfit, "_FillValue": np.float32(np.nan)}
+    if more[1] is not None:
+        share = {"long_name": "share of effective draws of the flow", "units": "1"}
+        variables["efficiency"] = (), "f4", {**share, "_FillValue": np.float32(np.nan)}
     variables["flag"] = (), "u1", {
         "flag_masks": np.array([int(f) for f in FLAGS], np.uint8),
         "flag_meanings": " ".join(w.replace(" ", "_") for w in FLAGS.values()),
@@ -287,7 +319,7 @@ def _written(
         writing_maps(path, (rows, columns), variables, along, attributes) as write,
         tqdm(total=rows * columns, **how) as bar,
     ):
-        for first, done in each(_fitted, _Pieces(source, problem, starts), workers):
+        for first, done in each(_fitted, _Pieces(source, problem, *more), workers):
             if isinstance(done, Lost):
                 raise ValueError(f"{source.cube.path}, row {first} and those below: {done.why}")
             flags, found = done
@@ -307,8 +339,8 @@ def _written(
 class _Pieces(Mapping[int, tuple[Any, ...]]):
     """Arguments of `_fitted` for some rows, by the first of these; read when they are needed."""
 
-    def __init__(self, source: Reflectances, problem: ij.Problem, starts: Starts):
-        self._source, self._more = source, (problem, starts)
+    def __init__(self, source: Reflectances, *more: Any):
+        self._source, self._more = source, more
         rows, columns, _ = source.cube.shape
         self._rows, self._step = rows, max(1, _CHUNK // columns)
 
@@ -324,17 +356,41 @@ class _Pieces(Mapping[int, tuple[Any, ...]]):
 
 
 def _fitted(
-    values: np.ndarray, flags: np.ndarray, problem: ij.Problem, starts: Starts
+    values: np.ndarray,
+    flags: np.ndarray,
+    problem: ij.Problem,
+    starts: Starts,
+    flow: Path | None,
+    seed: int,
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Flags of rows, and the maps of those pixels that are fitted."""
+    """Flags of rows, and the maps of those pixels that are fitted, posteriors by the `flow`."""
     good = flags == 0
     if not good.any():
         return flags, {}
     with ThreadPoolExecutor(cores()) as pool:
         fits = fitting.fit_pixels(problem, values[good], starts, pool.map)
+        more, maps = 0, {}
+        if flow is not None:
+            more, maps = _posteriors(problem, values[good], fits, flow, seed, pool.map)
     flags = flags.copy()  # what comes from another process cannot be changed
-    flags[good] = fits.flags
-    return flags, _maps(fits)
+    flags[good] = fits.flags + more
+    return flags, _maps(fits) | maps
+
+
+def _posteriors(
+    problem: ij.Problem, values: np.ndarray, fits: PixelFits, path: Path, seed: int, each: Any
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Flags of pixels, and the maps of their posteriors' means and standard deviations."""
+    flow, data = read_flow(path, problem), (problem, values, fits.z, fits.z_covariance)
+    weighted = weighted_draws(flow, *data, each=each, key=opt.key_of(seed))
+    draws, good = with_chains(weighted, *data, key=opt.key_of(seed))
+    maps = {"efficiency": weighted.efficiency}
+    for name, x in reported(problem, draws.z).items():
+        mean = (draws.weights * x).sum(axis=1)
+        sd = np.sqrt((draws.weights * (x - mean[:, None]) ** 2).sum(axis=1))
+        maps |= {f"{name}_posterior_mean": mean, f"{name}_posterior_sd": sd}
+    flags = PixelFlag.OUT_OF_DISTRIBUTION * weighted.unusual + PixelFlag.NO_POSTERIOR * ~good
+    return flags.astype(np.uint8), maps
 
 
 def _has_abl(names: list[str]) -> bool:
@@ -351,7 +407,7 @@ def _maps(fits: PixelFits) -> dict[str, np.ndarray]:
     return found
 
 
-def _draw(made: Path, folder: Path, problem: ij.Problem, outlines: Any) -> None:
+def _draw(made: Path, folder: Path, problem: ij.Problem, outlines: Any, posterior: bool) -> None:
     """Write pictures of the maps, and the maps for the renderers."""
     flags = read_map(made, "flag")
     extent, step = flags.shape, max(1, -(-max(flags.shape) // _SHOWN))
@@ -363,12 +419,14 @@ def _draw(made: Path, folder: Path, problem: ij.Problem, outlines: Any) -> None:
     drawn["reduced_chi_square"] = maps_figure(misfit, extent)
     drawn["flag"] = flags_figure(flags[::step, ::step], {int(f): w for f, w in FLAGS.items()})
     for name, (values, unit) in shown.items():
-        sd = f"{name}_sd"
-        both = {
-            name: (values, unit),
-            f"standard deviation of {name}": (read_map(made, sd, step), unit),
-        }
-        drawn[name] = maps_figure(both, extent)
+        both = {name: values, f"standard deviation of {name}": read_map(made, f"{name}_sd", step)}
+        if posterior:
+            for what in ("mean", "sd"):
+                both[f"{what} of the posterior"] = read_map(made, f"{name}_posterior_{what}", step)
+        drawn[name] = maps_figure({n: (x, unit) for n, x in both.items()}, extent)
+    if posterior:
+        share = {"efficiency": (read_map(made, "efficiency", step), "")}
+        drawn["efficiency"] = maps_figure(share, extent)
     data = {folder / f"{name}.png": picture(figure, ".png") for name, figure in drawn.items()}
     if outlines is not None and problem.base.power_law is not None:
         opt.tell("no maps.exr: pictures support no power law of scattering")

@@ -15,11 +15,12 @@ from irisjax.cli.fit_options import Sampler
 from irisjax.cli.many import csv_of
 from irisjax.cli.options import tell
 from irisjax.infer.analysis import Analysis, analyse, predictive
-from irisjax.infer.draws import arviz_groups
+from irisjax.infer.draws import ArvizGroups, arviz_groups
 from irisjax.infer.fit import words_for
 from irisjax.infer.model_comparison import predictive_score
 from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import kind, unit_of
+from irisjax.infer.posterior import Chains
 from irisjax.infer.problem import Problem, reported
 from irisjax.plot.beside import Later, here
 from irisjax.transport.process import option_of
@@ -157,6 +158,18 @@ def _write(
         values = reported(problem, chains.flat)
         values = {labelled(n, "\n"): values[n] for n in shown}
         pictures["corner.png"] = draw("corner_figure", values)
+    groups = write_groups(folder, problem, chains, lines, key)
+    files = {folder / "summary.csv": _summary(found).encode()}
+    io.write_together(files | {folder / name: picture() for name, picture in pictures.items()})
+    each = [array for _, array in groups.arrays["log_likelihood"].values()]
+    likelihoods = np.concatenate(each, axis=-1)
+    return predictive_score(likelihoods, chains.ess_bulk.mean() / chains.z[..., 0].size)
+
+
+def write_groups(
+    folder: Path, problem: Problem, chains: Chains, lines: list[str], key: jax.Array
+) -> ArvizGroups:
+    """Write draws into the folder, in ArviZ's groups, which are returned."""
     groups = arviz_groups(problem, chains, key=key)
     priors = zip(problem.free, problem.priors, strict=True)
     about = {
@@ -170,11 +183,7 @@ def _write(
         "says": " | ".join(lines),
     }
     io.write_posterior(folder / "posterior.nc", groups.arrays, groups.coordinates, about)
-    files = {folder / "summary.csv": _summary(found).encode()}
-    io.write_together(files | {folder / name: picture() for name, picture in pictures.items()})
-    each = [array for _, array in groups.arrays["log_likelihood"].values()]
-    likelihoods = np.concatenate(each, axis=-1)
-    return predictive_score(likelihoods, chains.ess_bulk.mean() / chains.z[..., 0].size)
+    return groups
 
 
 def _print(found: Analysis, first: list[str], lines: list[str]) -> None:

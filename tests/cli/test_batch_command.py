@@ -152,7 +152,7 @@ def test_posteriors_of_a_batch(irisjax, eye, searched, monkeypatch, tmp_path):
     eyes.mkdir()
     for name in ("a", "b"):
         (eyes / f"{name}.csv").write_bytes(eye.read_bytes())
-    arguments = ("fit", "--batch", eyes, "-o", out, "--posteriors", *FREE)
+    arguments = ("fit", "--batch", eyes, "-o", out, "--posteriors", "emcee", *FREE)
     assert irisjax(*arguments)[0] == 3
     how = {"resume": False, "quiet": True}
     assert sampled == [("a", 16, how), ("b", 16, how)]

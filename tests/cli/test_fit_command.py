@@ -252,7 +252,7 @@ def test_short_chains_end_with_status_three(irisjax, eye, sampled, monkeypatch):
         (("{eye}", "--discrepancy", "0.02:50", "--outliers"), "do not go together"),
         (("{eye}", "--quantity", "colour"), "--quantity: unknown 'colour'"),
         (("{eye}", "--quantity", "radiance", "--illuminant", "sun"), "unknown illuminant 'sun'"),
-        (("--batch", "{eye}", "--posteriors"), "--posteriors needs -o"),
+        (("--batch", "{eye}", "--posteriors", "emcee"), "--posteriors needs -o"),
         (("{eye}", "-o", "{eye}"), "is a file, not a folder"),
     ],
 )

@@ -1,0 +1,25 @@
+"""Flows that are trained when they are first needed, and kept in a folder."""
+
+from pathlib import Path
+from typing import Any
+
+import irisjax as ij
+from irisjax.cli import options as opt
+from irisjax.cli.files import check_is_folder
+from irisjax.infer.amortised import flow_name, read_flow, save_flow, train_flow
+from irisjax.io.tables import replacing
+
+
+def flow_for(problem: ij.Problem, folder: Path, seed: int, each: Any) -> Path:
+    """Return the file of a problem's flow, which is trained if there is none."""
+    check_is_folder(folder)
+    path = folder / f"{flow_name(problem)}.flow"
+    if path.exists():
+        read_flow(path, problem)
+        return path
+    opt.tell(f"training a flow for these bands and this model, some minutes; kept in {folder}")
+    flow = train_flow(problem, each=each, key=opt.key_of(seed))
+    folder.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as made:
+        save_flow(made, flow)
+    return path
