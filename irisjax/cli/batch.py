@@ -35,6 +35,7 @@ from irisjax.io.fits import (
     read_covariances,
 )
 from irisjax.io.measured import Measured
+from irisjax.io.tables import naming
 from irisjax.numerics.portions import cores
 from irisjax.transport.process import option_of
 
@@ -87,7 +88,9 @@ def many(
 
     table.begin(results.resume, results.overwrite, done)
     table.beside = beside
-    left, seen = set(table.left()), measured.seen
+    files = [str(p) for p in (measured.bands, measured.covariance) if p is not None]
+    # The name begins what is said of all eyes of a chunk.
+    left, seen = set(table.left()), {"name": ", ".join(files) or "batch", **measured.seen}
 
     def options_of(chunk: Eyes) -> dict[str, Any]:
         headers = [m.header for m in chunk.values() if isinstance(m, Measured)]
@@ -183,7 +186,9 @@ def _fitted_chunk(
         return {name: _row(name, FAILED, "", str(fault)) for name, fault in chunk.items()}, {}
     first = spectra[0]
     try:
-        problem = ij.problem(ij.spectrum(first, name="batch", **seen), **options)
+        with naming(seen["name"]):
+            spectrum = ij.spectrum(first, **seen)
+        problem = ij.problem(spectrum, **options)
     except ValueError as error:
         return {name: _row(name, FAILED, "", str(error)) for name in chunk}, {}
     devices = jax.device_count()
@@ -348,7 +353,7 @@ def _sampled(
 ) -> EyeRow:
     """Sample the posterior of an eye and return the changed cells of its row."""
     ((name, measured),) = eye.items()
-    problem = ij.problem(ij.spectrum(measured, name=name, **seen), **options)
+    problem = ij.problem(ij.spectrum(measured, **{**seen, "name": name}), **options)
     folder.mkdir(parents=True, exist_ok=True)
     chain = folder / "chain.h5"
     if chain.exists() and not resume:

@@ -85,6 +85,10 @@ def check_batch(irisjax, eye, tmp_path, rel, status_of_all):
     assert irisjax("fit", "--batch", eyes, "-o", out, *FREE)[0] == 2
     assert irisjax("fit", "--batch", eyes, "-o", out, *FREE, "--resume")[0] == 0
     assert all(row["status"] == status_of_all for row in rows_of(out / "fits.csv").values())
+    wrong = tmp_path / "two.csv"  # a file for all eyes is named in what is said of each
+    wrong.write_text("centre,fwhm\n450,20\n550,20\n")
+    _, printed, _ = irisjax("fit", "--batch", eyes, *FREE, "--bands", wrong)
+    assert f"{wrong}: {columns(eye)[0].size} values for 2 bands" in printed
     # The same eyes as columns of one table.
     x, y = columns(eye)
     lines = ["wavelength_nm,a,b", *(f"{a:g},{b:.12g},{b:.12g}" for a, b in zip(x, y, strict=True))]
