@@ -16,6 +16,7 @@ from jax.core import Tracer
 from jaxtyping import Float
 
 from irisjax._types import Numbers, Scalar, Spectrum, float_field, optional_field
+from irisjax.anatomy.lids import Lids
 from irisjax.anatomy.media import AQUEOUS, CORNEA, INDEX, Media
 from irisjax.numerics.checks import Range, check_fields
 from irisjax.numerics.roots import safe_sqrt
@@ -136,6 +137,7 @@ class Eye(eqx.Module):
             iris that are concentric with its pupil or its root lie between the two.
         attenuation: Attenuation of the aqueous humour, 1/mm, or `None`: water absorbs 1e-4 over the
             chamber in the visible.
+        lids: Lids, lashes and skin round it; `None` for none.
 
     Raises:
         ValueError: For a value out of range, with its field, value and range, and for an iris that
@@ -155,9 +157,12 @@ class Eye(eqx.Module):
     pupil_margin: Scalar = float_field(0.12)
     pupil_centre: Float[Array, "2"] | None = optional_field()
     attenuation: Scalar | None = optional_field()
+    lids: Lids | None = None
 
     def __check_init__(self) -> None:
         check_fields(self, EYE_LIMITS)
+        if self.lids is not None and (self.cornea is None or self.sclera is None):
+            raise ValueError("lids need an eye with a cornea and a sclera")
         radii = self.pupil_radius, self.iris_radius
         if _known(radii) and float(radii[0]) >= float(radii[1]):
             raise ValueError(

@@ -31,6 +31,7 @@ class Subject(opt.Group, panel="What"):
     limbal_ring: float | None = opt.number(
         "{}: share of the light that the dark ring at the limbus takes", eye.EYE_LIMITS["darkening"]
     )
+    lids: bool = opt.flag("lids, lashes and skin round the eye")
     no_residual: bool = opt.flag("a clone as its pigments alone make it, without the map residual")
 
     def __post_init__(self) -> None:
@@ -55,6 +56,7 @@ class Subject(opt.Group, panel="What"):
         """Return the scene with the changes that the options ask for."""
         entries = {"veins": self.veins, "limbal_ring": self.limbal_ring}
         file = file.with_eye(**{k: v for k, v in entries.items() if v is not None})
+        file = file.with_lids() if self.lids else file
         return file.without_residual() if self.no_residual else file
 
 

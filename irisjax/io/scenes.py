@@ -12,6 +12,8 @@ import numpy as np
 
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import EYE_LIMITS, Cornea, Eye, LimbalRing, Sclera
+from irisjax.anatomy.lids import LID_LIMITS
+from irisjax.grow.lids import lids
 from irisjax.grow.presets import PRESETS, preset
 from irisjax.grow.procedural import procedural
 from irisjax.grow.vessels import VEINS, veins
@@ -95,6 +97,10 @@ class SceneFile:
         eye = {**self.sections.get("eye", {}), **entries}
         return dataclasses.replace(self, sections={**self.sections, "eye": eye})
 
+    def with_lids(self) -> "SceneFile":
+        """The same scene with lids."""
+        return dataclasses.replace(self, sections={"lids": {}, **self.sections})
+
     def _of(self, section: str) -> dict[str, Any]:
         return dict(self.sections.get(section, {}))
 
@@ -145,6 +151,9 @@ class SceneFile:
             **given,
         )
         drawn = None if eye.sclera is None else veins(eye, key=self._key("veins"))
+        if (asked := self.sections.get("lids")) is not None:
+            fields = asked | {"nose": SIDES[asked.get("nose", "left")]}
+            eye = eye.replace(lids=lids(eye, **fields, key=self._key("lids")))
         return {"eye": eye, "veins": drawn}
 
     def _camera(self) -> dict[str, Any]:
@@ -190,9 +199,9 @@ class SceneFile:
 
 
 def stream(seed: int, name: str) -> PRNGKey:
-    """The random key of a scene's `"maps"` or `"veins"`."""
+    """The random key of a scene's `"maps"`, `"veins"` or `"lids"`."""
     key = jax.random.key(seed, impl="threefry2x32")
-    return jax.random.fold_in(key, {"maps": 0, "veins": 1}[name])
+    return jax.random.fold_in(key, {"maps": 0, "veins": 1, "lids": 2}[name])
 
 
 def read_scene(path: str | Path) -> SceneFile:
@@ -246,6 +255,9 @@ def scene_text(
             "illuminant": scene.illuminant,
         },
     }
+    if eye.lids is not None:
+        side = next(name for name, sign in SIDES.items() if sign == eye.lids.nose)
+        sections["lids"] = {n: getattr(eye.lids, n) for n in LID_LIMITS} | {"nose": side}
     if around is not None:
         sections["environment"] = {"lights": scene.environment_lights}
         if "environment" not in named:
@@ -292,6 +304,8 @@ def _illuminant(value: Any) -> str:
 
 LIMBUS_WIDTH = 0.5
 """Width of the blend of iris and white where maps are grown, mm: narrower than F09's."""
+SIDES = {"left": -1, "right": 1}
+"""Sides of the nose in the picture, as signs of x."""
 LIMBAL_RING = {"limbal_ring": "darkening", "limbal_ring_width": "width", "limbal_ring_fade": "fade"}
 """Entries of `[eye]` that are fields of its `LimbalRing`."""
 # Numbers of `Eye` and `Iris` that are entries under their own names.
@@ -332,6 +346,7 @@ SECTIONS: dict[str, dict[str, EntryCheck]] = {
         "veins": _density,
         "pupil_centre": listed("[x, y] in mm", EYE_LIMITS["pupil_centre"]),
     },
+    "lids": {**LID_LIMITS, "nose": tuple(SIDES)},
     "camera": {
         "polar_deg": Range(0, 180),
         "azimuth_deg": Range(-360, 360),

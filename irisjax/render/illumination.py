@@ -122,6 +122,7 @@ def deciding(eye: Eye) -> Eye:
         "pupil_centre": None,
         "limbus_width": 1.0,
         "limbal_ring": None,
+        "lids": None,
     }
     return eye.replace(cornea=cornea, sclera=None, **rims)
 

@@ -22,6 +22,7 @@ from irisjax.numerics.portions import pixelwise
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import joined
 from irisjax.render.environment import Environment
+from irisjax.render.lids import BOUNCE, let_in, mirrored_past
 from irisjax.render.lights import Lights
 from irisjax.render.project import MirrorPixels, ScleraPixels
 from irisjax.render.surfaces import GlobeSurface
@@ -182,10 +183,13 @@ def white_colour(
 
 @pixelwise
 def white(
-    pixels: tuple[ScleraPixels, Float[Array, "channels pixels"]], lights: Lights
+    pixels: tuple[ScleraPixels, Float[Array, "channels pixels"]],
+    lights: Lights,
+    eye: Eye,
+    skin: Float[Array, " channels"] | None = None,
 ) -> Float[Array, "channels pixels"]:
     """Channels of the sclera from its `white_colour`: lit as a matt white, light wrapped a little
-    round its edge.
+    round its edge. Of light that lids keep from it, some comes back from their `skin`.
 
     Approximation: the tear film takes its share on the way out and not on the way in.
     """
@@ -196,7 +200,12 @@ def white(
     # a matt one does.
     bled = jnp.where(cosine > _BLEED, cosine, jnp.maximum(cosine + _BLEED, 0.0) ** 2 / (4 * _BLEED))
     tint = jnp.ones((len(lights), 1), bled.dtype) if lights.tint is None else lights.tint
-    return colour * (tint.T @ (irradiance * bled / (1 + _BLEED**2 / 3)))
+    power = irradiance * bled / (1 + _BLEED**2 / 3)
+    if eye.lids is None or skin is None:
+        return colour * (tint.T @ power)
+    open_to = let_in(eye, sclera.point, towards, lights.radius[:, None])
+    back = BOUNCE * skin[:, None] * (tint.T @ (power * (1 - open_to)))
+    return colour * (tint.T @ (power * open_to) + back)
 
 
 @pixelwise
@@ -204,9 +213,13 @@ def mirrored(
     pixels: tuple[MirrorPixels, Float[Array, "channels pixels"] | None],
     lights: Lights | None,
     lamp: Float[Array, " channels"],
+    eye: Eye,
+    skin: Float[Array, " channels"] | None = None,
 ) -> Float[Array, "channels pixels"]:
     """Channels of images in the tear film: lamps as soft discs of their angular radius, the room of
-    `room_at` (or `None`) as it is. `lamp` is a lamp of radiance 1 in the picture's channels."""
+    `room_at` (or `None`) as it is, and lids as `skin` of a radiance. `lamp` is a lamp of radiance 1
+    in the picture's channels.
+    """
     film, room = pixels
     total = jnp.zeros((lamp.size, film.reflectance.size), film.reflectance.dtype)
     if lights is not None:
@@ -219,7 +232,11 @@ def mirrored(
         radiance = lights.irradiance / (jnp.pi * jnp.sin(lights.radius) ** 2)
         colour = radiance[:, None] * (lamp if lights.tint is None else lights.tint)
         total = total + colour.T @ inside
-    return (total if room is None else total + room) * film.reflectance
+    total = total if room is None else total + room
+    if eye.lids is not None and skin is not None:
+        past, between = mirrored_past(eye, film.point, film.mirror)
+        total = (total * past + skin[:, None] * (1 - past)) * between
+    return total * film.reflectance
 
 
 @pixelwise

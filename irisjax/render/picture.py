@@ -16,10 +16,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Cornea, Sclera
+from irisjax.anatomy.lids import Lids
 from irisjax.render import outside
 from irisjax.render.bands import Bands, colour_bands, spectral_bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractResponse, checked_response
+from irisjax.render.lids import LASH, in_front, lid_colour, lid_colours, lids_lit
 from irisjax.render.outside import ColourTable, colour_table
 from irisjax.render.project import View, look, project
 from irisjax.render.scene import Scene
@@ -42,6 +44,7 @@ class Texels(eqx.Module):
         white: Radiance of the sclera under an irradiance of one, (channels, pixels).
         room: Radiance of the environment that the tear film mirrors, (channels, pixels).
         residual: Factors on the radiance of the iris, (channels, pixels).
+        lids: Colour of the lids, (channels, pixels).
     """
 
     iris: Any
@@ -49,6 +52,7 @@ class Texels(eqx.Module):
     white: Float[Array, "channels white_pixels"] | None
     room: Float[Array, "channels mirror_pixels"] | None
     residual: Float[Array, "channels iris_pixels"] | None = None
+    lids: Float[Array, "channels lid_pixels"] | None = None
 
 
 class LitView(eqx.Module):
@@ -106,13 +110,15 @@ def texture(view: View, scene: Scene) -> Texels:
         view: Result of `project` or `look` for the eye and the camera of the scene.
         scene: The scene; its lamps and pigments make no difference.
     """
-    white, room, eye = None, None, scene.eye
+    white, room, lids, eye = None, None, None, scene.eye
     if view.sclera is not None and eye.sclera is not None:
         table = _sclera_colours(eye.sclera, _spectrum(scene))
         white = outside.white_colour(view.sclera, eye, table, scene.veins)
     if view.mirror is not None and scene.environment is not None:
         room = outside.room_at(view.mirror, scene.environment)
-    return Texels(*iris_texels(view, scene), white, room, _residual(view, scene))
+    if view.lids is not None and eye.lids is not None:
+        lids = lid_colour(view.lids, _lid_colours(eye.lids, _spectrum(scene)))
+    return Texels(*iris_texels(view, scene), white, room, _residual(view, scene), lids)
 
 
 def iris_texels(view: View, scene: Scene) -> tuple[Any, Facing | None]:
@@ -148,12 +154,24 @@ def illuminate(
 
 def surroundings(view: View, texels: Texels, scene: Scene) -> Float[Array, "channels pixels"]:
     """Radiance of everything but the iris: the sclera and the images in the tear film."""
-    lamp, parts = _lamp(scene), []
-    if view.sclera is not None and texels.white is not None:
-        all_round = scene.all_lights(largest_polar=None)
-        parts += [(view.sclera.index, outside.white((view.sclera, texels.white), all_round))]
+    lamp, parts, eye = _lamp(scene), [], scene.eye
+    skin, dim, every = None, None, None
+    if eye.lids is not None or view.sclera is not None:
+        every = scene.all_lights(largest_polar=None)
+    if eye.lids is not None and every is not None:
+        front = in_front(every, lamp) / jnp.pi
+        skin = _lid_colours(eye.lids, _spectrum(scene))[0]
+        dim = 0.3 * skin * front
+        if view.lids is not None and texels.lids is not None:
+            parts += [(view.lids.index, lids_lit((view.lids, texels.lids), every, lamp))]
+        if view.lashes is not None:
+            parts += [(None, LASH * front[:, None] * view.lashes)]
+        skin = skin / lamp
+    if view.sclera is not None and texels.white is not None and every is not None:
+        white = outside.white((view.sclera, texels.white), every, eye, skin)
+        parts += [(view.sclera.index, white)]
     if view.mirror is not None:
-        images = outside.mirrored((view.mirror, texels.room), scene.lights, lamp)
+        images = outside.mirrored((view.mirror, texels.room), scene.lights, lamp, eye, dim)
         parts += [(view.mirror.index, scene.camera.images * images)]
     dark = jnp.zeros((lamp.size, view.size[0] * view.size[1]), lamp.dtype)
     return _added(dark, parts)
@@ -270,6 +288,12 @@ def _lamp(scene: Scene) -> Float[Array, " channels"]:
 def _sclera_colours(sclera: Sclera, spectrum: _Spectrum) -> ColourTable:
     bands = _bands(None, spectrum, every=True)
     return colour_table(sclera, np.asarray(bands.wavelengths), bands.weights)
+
+
+@eqx.filter_jit
+def _lid_colours(lids: Lids, spectrum: _Spectrum) -> Float[Array, "3 channels"]:
+    bands = _bands(None, spectrum, every=True)
+    return lid_colours(lids, np.asarray(bands.wavelengths), bands.weights)
 
 
 @eqx.filter_jit

@@ -27,10 +27,11 @@ from irisjax.optics.conicoid import (
     refract_vector,
 )
 from irisjax.render.camera import Camera
+from irisjax.render.lids import LidPixels, lashes_seen, lid_pixels, meet_lids, meniscus
 from irisjax.render.refraction import enter, on_cornea
 from irisjax.render.surfaces import CorneaSurface, GlobeSurface, IrisSurface
 
-IRIS, SCLERA, MIRROR = 1, 2, 4
+IRIS, SCLERA, MIRROR, LIDS = 1, 2, 4, 8
 """What a pixel may see, to be added up."""
 _PAD = 2048  # least block of pixels to which `look` pads a part; else an eighth of them at most
 
@@ -91,23 +92,31 @@ class MirrorPixels(eqx.Module):
     reflectance: Float[Array, " pixels"]
 
 
+SeenPart = IrisPixels | ScleraPixels | MirrorPixels | LidPixels
+"""Pixels that may see a part of the eye, or its lids."""
+
+
 class View(eqx.Module):
-    """What a camera sees of an eye, part by part; absent parts are `None`."""
+    """What a camera sees of an eye, part by part; absent parts are `None`. `lashes` is the share
+    of each pixel of the picture that lashes cover, which the other parts are already without.
+    """
 
     iris: IrisPixels | None
     sclera: ScleraPixels | None
     mirror: MirrorPixels | None
     size: tuple[int, int] = eqx.field(static=True)
+    lids: LidPixels | None = None
+    lashes: Float[Array, " pixels"] | None = None
 
 
-def pixel_numbers(part: IrisPixels | ScleraPixels | MirrorPixels) -> Int[np.ndarray, " pixels"]:
+def pixel_numbers(part: SeenPart) -> Int[np.ndarray, " pixels"]:
     """Number of each pixel of a part, counted along the picture's rows; −1 for padding."""
     count = jax.tree.leaves(part)[-1].shape[-1]
     return np.arange(count) if part.index is None else np.asarray(part.index)
 
 
 def onto_picture(
-    part: IrisPixels | ScleraPixels | MirrorPixels,
+    part: SeenPart,
     values: Shaped[np.ndarray, "pixels *channels"],
     shape: tuple[int, int],
 ) -> Shaped[np.ndarray, "rows columns *channels"]:
@@ -131,8 +140,13 @@ def project(eye: Eye, camera: Camera) -> View:
     film, white = eye.cornea is not None, eye.cornea is not None and eye.sclera is not None
     parts: Any = (iris_pixels, True), (sclera_pixels, white), (mirror_pixels, film)
     found = (pixels(index, eye, camera) if there else None for pixels, there in parts)
-    every = (None if p is None else dataclasses.replace(p, index=None) for p in found)
-    return View(*every, size=(columns, rows))
+    every = [None if p is None else dataclasses.replace(p, index=None) for p in found]
+    if eye.lids is None:
+        return View(*every, size=(columns, rows))
+    skin = jnp.where(seen_parts(index, eye, camera) == LIDS, 1.0, 0.0)
+    every = [None if p is None else _dimmed(p, 1 - skin) for p in every]
+    lids = _dimmed(dataclasses.replace(lid_pixels(index, eye, camera), index=None), skin)
+    return _behind_lashes(View(*every, size=(columns, rows), lids=lids), eye, camera)
 
 
 def look(eye: Eye, camera: Camera) -> View:
@@ -162,7 +176,31 @@ def look(eye: Eye, camera: Camera) -> View:
         return dataclasses.replace(found, index=jnp.asarray(numbers))
 
     parts = (IRIS, iris_pixels), (SCLERA, sclera_pixels), (MIRROR, mirror_pixels)
-    return View(*(of(*part) for part in parts), size=(columns, rows))
+    view = View(*(of(*part) for part in parts), size=(columns, rows))
+    if eye.lids is None:
+        return view
+    view = dataclasses.replace(view, lids=of(LIDS, lid_pixels))
+    return _behind_lashes(view, eye, camera)
+
+
+def _behind_lashes(view: View, eye: Eye, camera: Camera) -> View:
+    """The view with what lashes leave of its parts."""
+    lashes = lashes_seen(eye, camera)
+    if lashes is None:
+        return view
+    names = "iris", "sclera", "mirror", "lids"
+    shown: dict[str, Any] = {
+        name: _dimmed(part, 1 - (lashes if part.index is None else lashes[part.index]))
+        for name in names
+        if (part := getattr(view, name)) is not None
+    }
+    return dataclasses.replace(view, **shown, lashes=lashes)
+
+
+def _dimmed(part: Any, by: Float[Array, " pixels"]) -> Any:
+    """A part with a factor on what pixels see of it."""
+    name = "reflectance" if isinstance(part, MirrorPixels) else "share"
+    return dataclasses.replace(part, **{name: getattr(part, name) * by})
 
 
 @pixelwise
@@ -173,7 +211,11 @@ def seen_parts(index: Array, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]
         return jnp.where(IrisSurface(eye).meet(origin, direction)[1], IRIS, 0).astype(jnp.int8)
     outside = _Outside.met(eye, origin, direction)
     white = outside.hit & (outside.blend > 0)
-    return (IRIS * outside.iris + SCLERA * white + MIRROR * outside.hit).astype(jnp.int8)
+    seen = IRIS * outside.iris + SCLERA * white + MIRROR * outside.hit
+    if eye.lids is not None:
+        there = jnp.where(outside.hit, dot(outside.point - origin, direction), jnp.inf)
+        seen = jnp.where(meet_lids(eye, origin, direction) < there, LIDS, seen)
+    return seen.astype(jnp.int8)
 
 
 @pixelwise
@@ -234,6 +276,8 @@ def _film(index, eye: Eye, camera: Camera):
     """Where lines of sight meet the tear film, their directions, and its reflectance."""
     origin, direction = camera.towards(index, eye)
     outside = _Outside.met(eye, origin, direction)
+    if eye.lids is not None:
+        outside = outside._replace(normal=meniscus(eye, outside.point, outside.normal))
     return outside, direction, 1 - refract_vector(direction, outside.normal, 1.0, TEAR)[1]
 
 

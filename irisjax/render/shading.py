@@ -18,6 +18,7 @@ from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Parts, dot, from_axis, joined, norm, parts
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.illumination import Illumination, near_light
+from irisjax.render.lids import let_in
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
 from irisjax.render.surfaces import IrisSurface, Place
@@ -127,6 +128,19 @@ def _grid(eye: Eye, size: int):
 
 
 def _flux(lights: Lights, i, place, eye: Eye, tables: Illumination | None):
+    flux = _flux_past_lids(lights, i, place, eye, tables)
+    if eye.lids is None:
+        return flux
+    # Back along the light to about where it entered.
+    x, y, z = parts(place)
+    u, v, w = parts(flux)
+    back = jnp.where(w > 0, (eye.iris_depth - z) / jnp.where(w > 0, w, 1.0), 0.0)
+    entry = x - back * u, y - back * v, z
+    towards, _ = lights.seen_from(entry, i)
+    return flux * let_in(eye, entry, towards, lights.radius[i])[..., None]
+
+
+def _flux_past_lids(lights: Lights, i, place, eye: Eye, tables: Illumination | None):
     spread, point = 1.0, place[..., :2]
     if tables is not None and lights.distance is not None:
         place, spread = near_light(eye, lights.towards[i], 1.0 / lights.distance[i], point)

@@ -132,6 +132,8 @@ WRONG = {
     "[picture]\nexposure = 0": "scene.toml, line 2: picture.exposure = 0 must be a number in [1e-06, 1e+06]",
     "[iris\nlevel = 1": "scene.toml: ",
     "iris = 3": "iris must be written [iris]",
+    "[lids]\nupper = 9": "scene.toml, line 2: lids.upper = 9 must be a number in [0.5, 6.5] mm",
+    '[lids]\nnose = "up"': "scene.toml, line 2: lids.nose = 'up' must be",
     "iris = " + 2000 * "[": "scene.toml: nested too deeply",
 }
 
@@ -152,6 +154,7 @@ OPTIONS = [
         ("--preset", "blue", "--veins", "many"),
         "--veins: unknown 'many'; known: clear, usual, bloodshot",
     ),
+    (("scene.toml", "--lids"), "lids need an eye with a cornea and a sclera"),
     (("--preset", "blue", "--limbal-ring", "2"), "--limbal-ring: 2 is outside [0, 1]"),
     (
         ("--preset", "pink"),

@@ -47,6 +47,7 @@ def small(monkeypatch):
     for name, shape in (("procedural", (96, 32)), ("veins", (128, 64))):
         grow = functools.partial(getattr(scenes, name), shape=shape)
         monkeypatch.setattr(scenes, name, grow)
+    monkeypatch.setattr(scenes, "lids", functools.partial(scenes.lids, texels=64))
 
 
 @pytest.mark.usefixtures("small")
@@ -104,6 +105,9 @@ limbal_ring = 0.3
 limbal_ring_fade = 0.4
 pupil_centre = [-0.2, 0.1]
 attenuation = 1e-4
+[lids]
+upper = 3.5
+nose = "right"
 [camera]
 polar_deg = 12.5
 size = [12, 8]

@@ -1,0 +1,113 @@
+"""Lids with grown lashes and skin; equal keys give equal lids."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from irisjax._types import PRNGKey
+from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.lids import EDGE_WIDTH, FACE, FENCE, Lids
+from irisjax.anatomy.sclera import sclera_centre
+from irisjax.numerics.strokes import sections, stamped
+
+_POINTS = 14  # along a lash
+
+
+def lids(eye: Eye, *, texels: int = 1024, key: PRNGKey, **fields: Any) -> Lids:
+    """Grow lids for an eye: lashes along both margins, and the relief and redness of their skin.
+
+    Args:
+        eye: The eye, not traced.
+        texels: Along each side of the maps.
+        key: Random key.
+        **fields: Fields of `Lids`.
+
+    Raises:
+        ValueError: The eye has no cornea or no sclera, or a field is out of range.
+    """
+    made = Lids(**fields)
+    eye.replace(lids=made)  # refuses an eye that cannot have them
+    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
+    centre = sclera_centre(eye)
+    lashes = _lashes(rng, made, centre)
+    maps = {"lashes": lashes, "skin": _skin(rng, texels), "fence": _fence(lashes, float(centre))}
+    grown: dict[str, Any] = {k: jnp.asarray(v, jnp.result_type(float)) for k, v in maps.items()}
+    return Lids(**fields, **grown)
+
+
+def _lashes(rng, lids: Lids, centre) -> np.ndarray:
+    """Two rows of lashes of the upper lid and one of the lower: points and radii along each."""
+    rows = [(True, 70), (True, 70), (False, 60)]
+    count = sum(n for _, n in rows)
+    upper = np.concatenate([np.full(n, of_upper) for of_upper, n in rows])
+    s = np.concatenate([np.linspace(-0.97, 0.8 if up else 0.72, n) for up, n in rows])
+    s = s + rng.normal(0, 0.008, count)
+    t = np.linspace(0, 1, _POINTS)
+    # Neighbours lean together in tufts.
+    lean = np.repeat(rng.normal(0, 0.11, count), rng.integers(1, 4, count))[:count]
+    outward = s * lids.nose * np.where(s < 0, 1.3, 0.7) * np.where(upper, 0.55, 0.4)
+    fan = outward + lean + rng.normal(0, 0.07, count)
+    side = np.outer(fan, 0.5 * t * (1 + t)) + np.outer(rng.normal(0, 0.06, count), t**2)
+    lift = rng.normal(1, 0.12, count)
+    rising, falling = np.outer(lift, 0.85 * t**2) - 0.1 * t, 0.3 * t**2 - np.outer(lift, 0.85 * t)
+    up = np.where(upper[:, None], rising, falling)
+    out = np.where(upper[:, None], 0.8 * t - 0.25 * t**2, 0.5 * t + 0.1 * t**2)
+    length = np.where(upper, 7.2, 4.0) * (1 - 0.4 * s**2 - 0.25 * s)
+    along = (length * rng.uniform(0.75, 1.12, count))[:, None]
+    beyond = rng.uniform(0.5, 1.0, count) * EDGE_WIDTH
+    place = jnp.asarray(np.stack([s, beyond]))
+    x, y, z = np.asarray(_roots(lids, jnp.asarray(upper), place, centre))
+    path = x[:, None] + along * side, y[:, None] + along * up, z[:, None] - along * out
+    radius = np.where(upper, 0.062, 0.042) * rng.uniform(0.75, 1.15, count)
+    return np.stack([*path, np.outer(radius, np.sqrt(1.02 - t))], -1)
+
+
+@eqx.filter_jit
+def _roots(lids: Lids, upper, place, centre):
+    """Where lashes grow: x, y and z at places between the corners and beyond the margin."""
+    along, beyond = place
+    start, end = lids.along(jnp.zeros(())), lids.along(jnp.ones(()))
+    x = (along - start) / (end - start)
+    high, low = lids.margins(along)
+    y = jnp.where(upper, high + beyond, low - beyond)
+    return jnp.stack([x, y, lids.depth(x, y, centre) + 0.15])
+
+
+def _fence(lashes: np.ndarray, centre: float) -> np.ndarray:
+    """Lashes as light for the middle of the cornea meets them, on the sphere of `FENCE`."""
+    side, start = 512, np.array([0.0, 0.0, 0.5])
+    way = lashes[..., :3] - start
+    way /= np.linalg.norm(way, axis=-1, keepdims=True)
+    offset = start - np.array([0.0, 0.0, centre])
+    along = way @ offset
+    reach = np.sqrt(along**2 - offset @ offset + FENCE**2) - along
+    place = start + reach[..., None] * way
+    wider = reach / np.linalg.norm(lashes[..., :3] - start, axis=-1)
+    cell = 2 * FACE / side
+    pixels = np.concatenate(
+        [(place[..., :2] + FACE) / cell - 0.5, (wider * lashes[..., 3] / cell)[..., None]], -1
+    )
+    return np.asarray(stamped(jnp.asarray(pixels), (side, side), *sections(40, 4)))
+
+
+def _skin(rng, texels: int) -> np.ndarray:
+    """Slopes and redness of skin: pores, fine lines and blotches from filtered noise."""
+    frequency = np.fft.fftfreq(texels, 2 * FACE / texels)  # 1/mm
+    fx, fy = np.meshgrid(frequency, frequency)
+
+    def noise(x: float, y: float) -> np.ndarray:
+        """Of detail about x by y mm in size."""
+        size = (fx * x) ** 2 + (fy * y) ** 2
+        band = size * np.exp(-2 * size)
+        field = np.fft.ifft2(np.fft.fft2(rng.normal(size=(texels, texels))) * band).real
+        return field / field.std()
+
+    lines = noise(2.2, 0.7)
+    pores = np.minimum(noise(0.32, 0.32), 0.4) + 0.4 * noise(0.5, 0.5)
+    height = 0.006 * pores + 0.006 * np.minimum(lines, 0.2)
+    up, along = np.gradient(height, 2 * FACE / texels)
+    red = 0.6 * noise(7, 6) + 0.25 * noise(1.3, 1.3)
+    return np.stack([along, up, np.clip(red, -1.5, 1.5) / 1.5])

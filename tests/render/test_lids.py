@@ -1,0 +1,157 @@
+"""Lids: their surface, their skin, what they hide, and the light that they keep from the eye."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import irisjax as ij
+from common import operations, quick_jit
+from irisjax.anatomy.sclera import sclera_centre
+from irisjax.grow.lids import lids
+from irisjax.numerics.strokes import sections, stamped
+from irisjax.render.lids import diffuse_reflectance, let_in, meet_lids, skin_reflectance
+from irisjax.render.lights import Lights
+from irisjax.render.picture import surroundings, texture
+from irisjax.render.project import look, onto_picture, project
+from irisjax.render.scene import Scene
+from irisjax.render.shading import fluxes_of
+from render.small_scenes import LIGHT, QUICK
+
+BARE = ij.Eye(cornea=ij.Cornea(scatter=None))
+EYE = BARE.replace(lids=lids(BARE, texels=64, key=jax.random.key(2)))
+CAMERA = ij.Camera(size=(32, 24), width=30.0)
+
+
+def test_lines_of_sight_end_on_the_surface():
+    origin, direction = CAMERA.towards(jnp.arange(32 * 24), EYE)
+    centre = sclera_centre(EYE)
+
+    @quick_jit
+    def missed(eye):
+        x, y, z = jnp.moveaxis(
+            origin + meet_lids(eye, origin, direction)[:, None] * direction, 1, 0
+        )
+        return z - eye.lids.depth(x, y, centre), eye.lids.edge(x, y).outside
+
+    off, outside = map(np.asarray, missed(EYE))
+    assert abs(off[outside > 0.5]).max() < 0.02
+
+
+def test_skin_is_what_exact_theory_of_a_deep_layer_says():
+    """Isotropic scattering below a surface of equal index: 1 − √(1 − a) H(1) [Chandrasekhar]."""
+    mu, w = np.polynomial.legendre.leggauss(64)
+    mu, w = (mu + 1) / 2, w / 2
+    for albedo in (0.95, 0.99):
+        h = np.ones_like(mu)
+        for _ in range(400):
+            h = 1 / (np.sqrt(1 - albedo) + albedo / 2 * (w * mu * h / (mu[:, None] + mu)).sum(1))
+        at_one = 1 / (np.sqrt(1 - albedo) + albedo / 2 * (w * mu * h / (1 + mu)).sum())
+        true = 1 - np.sqrt(1 - albedo) * at_one
+        found = diffuse_reflectance(jnp.asarray([1 - albedo]), jnp.asarray([albedo]), inside=0.0)
+        np.testing.assert_allclose(found, true, rtol=0.03)  # diffusion theory is that good
+
+
+def test_melanin_and_blood_darken_skin_where_they_absorb():
+    grid = np.array([450.0, 550.0, 650.0])
+    usual, brown, flushed = (
+        np.asarray(skin_reflectance(grid, jnp.asarray(m), jnp.asarray(b)))
+        for m, b in ((0.01, 0.01), (0.2, 0.01), (0.01, 0.05))
+    )
+    assert (np.diff(usual) > 0).all() and 0.4 < usual[2] < 0.8
+    assert (brown < usual).all() and brown[0] / usual[0] < brown[2] / usual[2] < 0.8
+    assert flushed[1] / usual[1] < 0.85 < flushed[2] / usual[2]
+
+
+def test_lids_keep_light_from_above_from_the_eye():
+    polar = np.radians([0.0, 30.0, 60.0, 85.0])
+    lamps = Lights.distant(polar, np.pi / 2)
+    open_to = quick_jit(lambda eye, y: let_in(eye, (0 * y, y, 0 * y), *_of(lamps)))
+    top, middle = (np.asarray(open_to(EYE, jnp.asarray([y])))[:, 0] for y in (3.9, 0.0))
+    assert middle[0] > 0.99 and (np.diff(middle) <= 0).all() and middle[-1] < 0.05
+    assert (top < middle).all() and top[2] < 0.1
+
+    def whole(y):
+        return let_in(EYE, (0 * y, y, 0 * y), *_of(lamps)).sum()
+
+    value = quick_jit(jax.value_and_grad(whole))
+    (_, slope), *step = (value(jnp.asarray([2.5 + e])) for e in (0, 1e-5, -1e-5))
+    step = [float(v) for v, _ in step]
+    np.testing.assert_allclose(slope, (step[0] - step[1]) / 2e-5, rtol=1e-4)
+
+
+def _of(lamps):
+    return tuple(lamps.towards[:, k, None] for k in range(3)), lamps.radius[:, None]
+
+
+@pytest.fixture(scope="module")
+def seen():
+    return look(EYE, CAMERA)
+
+
+def test_lids_hide_what_lies_behind_them(seen):
+    """By both projections: all pixels for each part, or those alone that see it."""
+    every, whole = project(EYE, CAMERA), project(BARE, CAMERA)
+    for name in ("iris", "sclera", "lids"):
+        few, all_of = (
+            onto_picture(part, np.asarray(part.share), (24, 32))
+            for part in (getattr(view, name) for view in (seen, every))
+        )
+        np.testing.assert_allclose(few, all_of, atol=1e-12)
+    hidden = np.asarray(every.lids.share > 0)
+    assert (np.asarray(every.iris.share)[hidden] == 0).all()
+    bare, lidded = ((np.asarray(view.iris.share) > 0).sum() for view in (whole, every))
+    assert 0.5 * bare < lidded < 0.95 * bare
+
+
+def test_skin_is_all_round_the_eye(seen):
+    scene = Scene(LIGHT, eye=EYE, camera=CAMERA, integrator=QUICK)
+    red, _, blue = np.asarray(surroundings(seen, texture(seen, scene), scene)).reshape(3, 24, 32)
+    corners = np.s_[[0, 0, -1, -1], [0, -1, 0, -1]]
+    assert (red[corners] > 1.2 * blue[corners]).all() and (blue[corners] > 0).all()
+    # The white is less red, and brighter than the skin in the blue.
+    assert red[12, 9] < 1.3 * blue[12, 9] and blue[12, 9] > blue[corners].max()
+
+
+def test_absent_lids_cost_nothing():
+    lamps = Lights.distant(0.5, 1.0)
+    bare, lidded = (
+        [
+            operations(lambda eye=eye: project(eye, CAMERA)),
+            operations(lambda eye=eye: fluxes_of(lamps, eye, None)),
+        ]
+        for eye in (BARE, EYE)
+    )
+    assert all(a < b for a, b in zip(bare, lidded, strict=True))
+    # None of the operations that draw lashes, and none of the parts.
+    assert operations(lambda: project(BARE, CAMERA), name="scatter-max") == 0
+    assert project(BARE, CAMERA).lids is project(BARE, CAMERA).lashes is None
+
+
+def test_strokes_have_the_area_of_their_outline():
+    radius, length = 1.3, 60.0
+    for angle in (0.0, 0.4, 1.2):
+        x = 12 + length * np.cos(angle) * np.linspace(0, 1, 5)
+        y = 12 + length * np.sin(angle) * np.linspace(0, 1, 5)
+        stroke = jnp.asarray(np.stack([x, y, np.full(5, radius)], -1))[None]
+        area = float(stamped(stroke, (80, 80), *sections(15.0, 2.6)).sum())
+        assert area == pytest.approx(2 * radius * length, rel=0.04)
+
+
+def test_equal_keys_grow_equal_lids():
+    again, other = (lids(BARE, texels=64, key=jax.random.key(k)) for k in (2, 3))
+    np.testing.assert_array_equal(again.lashes, EYE.lids.lashes)
+    assert not np.array_equal(other.lashes, EYE.lids.lashes)
+
+
+def test_what_lids_refuse():
+    with pytest.raises(ValueError, match=r"upper = 9 .*0\.5"):
+        lids(BARE, texels=64, key=jax.random.key(0), upper=9.0)
+    with pytest.raises(ValueError, match="nose = 0 must be -1 or 1"):
+        dataclasses.replace(EYE.lids, nose=0)
+    with pytest.raises(ValueError, match="lids need an eye with a cornea and a sclera"):
+        lids(BARE.replace(sclera=None), texels=64, key=jax.random.key(0))
+    with pytest.raises(ValueError, match="lids need an eye with a cornea"):
+        EYE.replace(cornea=None)
