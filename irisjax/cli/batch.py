@@ -316,7 +316,7 @@ def _weighted(
 ) -> EyeRow:
     """The posterior of an eye by a flow; what that changes in its row."""
     ((name, measured),) = eye.items()
-    problem = ij.problem(ij.spectrum(measured, name=name, **seen), **options)
+    problem = ij.problem(ij.spectrum(measured, **{**seen, "name": name}), **options)
     (o,), found = problem.observations, fit(problem, key=sampler.key)
     values, z, covariance = (np.asarray(x)[None] for x in (o.values, found.z, found.covariance))
     sd = None if o.sd is None else np.asarray(o.sd)[None]
