@@ -2,8 +2,8 @@
 
 Each study has two groups of 20 eyes: means and spreads of their parameters are drawn, eyes from the
 groups, spectra (31 wavelengths, ILIT, noise of 2 % + 2e-4) from the eyes. Every eye is fitted by
-least squares as in `irisjax fit --batch`, and draws of its posterior are made as for
-`--posteriors`, but by importance sampling alone. Both groups are inferred from the draws, and from
+least squares as in `irisjax fit --batch`, and draws of its likelihood are made as for
+`--posteriors`. Both groups are inferred from the draws, and from
 the fits. In the coordinates in which the fits' priors are standard normal, groups are either
 ordinary (means normal with sd 0.5, spreads half-normal with 0.3) or as far out as the priors of the
 comparison reach (1 and 1), where the likelihoods of many eyes are far from normal. For means,
@@ -21,10 +21,10 @@ import numpy as np
 import irisjax as ij
 from experiments import common
 from irisjax.infer.fit import fit
-from irisjax.infer.importance import DRAWS, Start, importance_sample
+from irisjax.infer.importance import Start
 from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.observation import with_values
-from irisjax.infer.populations import KERNELS, population
+from irisjax.infer.populations import KERNELS, WIDTH, likelihood_draws, population
 
 WAVELENGTHS = np.arange(400.0, 701.0, 10.0)
 EYES = 20
@@ -79,8 +79,7 @@ def judged(key, kind: str, pair: int) -> list:
             with_values(problem.observations[0], jnp.asarray(values[i]), jnp.asarray(sd[i]))
         )
         start = Start(z[i], covariance[i])
-        found = importance_sample(mine.log_density, start, np.random.RandomState(i))
-        draws.append(found.samples[np.linspace(0, DRAWS - 1, KERNELS).astype(int)][:, kept])
+        draws.append(likelihood_draws(mine, start, NAMES, key=jax.random.fold_in(key, i)))
     z = z[:, kept].reshape(eyes.shape)
     covariance = covariance[:, kept][:, :, kept].reshape(*eyes.shape, len(NAMES))
     drawn = np.reshape(draws, (2, EYES, KERNELS, len(NAMES)))
@@ -93,7 +92,7 @@ def judged(key, kind: str, pair: int) -> list:
     for tag in ("", " by least squares"):
         found = [
             population(
-                z[g], covariance[g], None if tag else drawn[g],
+                z[g], covariance[g], None if tag else drawn[g], 1.0 if tag else WIDTH,
                 key=jax.random.fold_in(key, 2 * pair + g),
             )
             for g in (0, 1)

@@ -26,16 +26,19 @@ from irisjax.infer.fit import OFF_PRIOR, Fit, FitStatus, abl_melanin, fit, words
 from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.model_comparison import compare_processes, other_of
 from irisjax.infer.observation import with_values
+from irisjax.infer.parameters import kind
+from irisjax.infer.populations import likelihood_draws
 from irisjax.infer.problem import Problem, reported
 from irisjax.io.fits import (
     CONVERGED,
     COVARIANCES,
+    LIKELIHOOD,
     covariance_rows,
     covariances_beside,
     read_covariances,
 )
 from irisjax.io.measured import Measured
-from irisjax.io.tables import naming
+from irisjax.io.tables import naming, replacing
 from irisjax.numerics.portions import cores
 from irisjax.transport.process import option_of
 
@@ -361,8 +364,17 @@ def _sampled(
     try:
         bar = report.progress_bar(True)
         if report.one(problem, folder, sampler, bar, resume=chain.exists(), quiet=True):
+            _draw_likelihood(problem, folder, sampler.key)
             return {"posterior": CONVERGED}
         posterior, warning = "not long enough", "the chain is not long enough"
     except ValueError as error:
         posterior, warning = "", str(error)
     return {"status": FAILED, "posterior": posterior, "warnings": f"{folder}: {warning}"}
+
+
+def _draw_likelihood(problem: Problem, folder: Path, key: jax.Array) -> None:
+    """Write what `irisjax compare-groups` needs of an eye."""
+    names = [n for n in problem.fitted if kind(n) not in ("gain", "noise")]
+    draws = likelihood_draws(problem, fit(problem, key=key), names, key=key)
+    with replacing(folder / LIKELIHOOD) as path, path.open("wb") as file:
+        np.savez(file, **dict(zip(names, draws.T, strict=True)))

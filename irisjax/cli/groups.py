@@ -83,9 +83,12 @@ def _compared(one: FittedEyes, two: FittedEyes, seed: int) -> tuple[list[str], l
     key = opt.key_of(seed)
     drawn = one.draws is not None and two.draws is not None
     found = [
-        population(e.z, e.covariance, e.draws if drawn else None, key=jax.random.fold_in(key, i))
+        population(
+            e.z, e.covariance, e.draws if drawn else None, e.width if drawn else 1.0,
+            key=jax.random.fold_in(key, i),
+        )
         for i, e in enumerate((one, two))
-    ]
+    ]  # fmt: skip
     random, typical, spread = np.random.default_rng([seed, 1]), [{}, {}], [{}, {}]
     for group, means, spreads in zip(found, typical, spread, strict=True):
         off = group.spread[:, None] * random.standard_normal((1, _EYES, len(one.priors)))

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from irisjax.infer.parameters import PARAMETERS, kind
-from irisjax.infer.populations import KERNELS
+from irisjax.infer.populations import KERNELS, WIDTH
 from irisjax.infer.priors import AbstractPrior, prior_of
 from irisjax.io.tables import naming
 
@@ -19,6 +19,8 @@ COVARIANCES = ("eye", "parameter", "prior", "other", "covariance")
 """Columns of the file of covariances."""
 CONVERGED = "converged"
 """Entry of the column `posterior` of an eye whose chain is long enough."""
+LIKELIHOOD = "likelihood.npz"
+"""File of an eye's `likelihood_draws`, an array for each parameter."""
 
 
 class FittedEyes(NamedTuple):
@@ -34,6 +36,8 @@ class FittedEyes(NamedTuple):
         left_out: Names of eyes that are not used, and their status.
         draws: Draws of the posteriors in these coordinates; `None` unless every eye has a
             converged posterior (`--posteriors`).
+        width: Standard deviation of the priors of these draws: that of `likelihood_draws` where
+            every eye has them, or 1.
     """
 
     names: tuple[str, ...]
@@ -44,6 +48,7 @@ class FittedEyes(NamedTuple):
     process: str
     left_out: dict[str, str]
     draws: Float[np.ndarray, "eyes draws parameters"] | None
+    width: float
 
 
 def covariance_rows(
@@ -111,11 +116,16 @@ def read_fits(path: Path, status: Iterable[str] = ("ok",)) -> FittedEyes:
     if not kept:
         raise ValueError(f"{path}: no parameter of the iris is free")
     free, draws = {n: known[n] for i, n in enumerate(known) if i in kept}, None
+    wide = [path.parent / name / LIKELIHOOD for name in eyes]
+    reach = all(file.exists() for file in wide)
     if all(row.get("posterior") == CONVERGED for row in eyes.values()):
-        draws = np.stack([_drawn(path.parent / name / "posterior.nc", free) for name in eyes])
+        if reach:
+            draws = np.stack([np.stack([x[n] for n in free], 1) for x in map(np.load, wide)])
+        else:
+            draws = np.stack([_drawn(path.parent / name / "posterior.nc", free) for name in eyes])
     return FittedEyes(
         tuple(eyes), free, values[:, kept], z[:, kept], covariance[:, kept][:, :, kept], process,
-        left, draws,
+        left, draws, WIDTH if reach else 1.0,
     )  # fmt: skip
 
 

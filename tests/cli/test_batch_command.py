@@ -151,7 +151,12 @@ def test_posteriors_of_a_batch(irisjax, eye, searched, monkeypatch, tmp_path):
         (folder / "chain.h5").write_text("chain")
         return folder.name != "b"
 
+    def draws(problem, found, names, *, key):
+        return np.arange(6.0).reshape(3, 2)
+
     monkeypatch.setattr(report, "one", one)
+    monkeypatch.setattr(batch, "likelihood_draws", draws)
+    monkeypatch.setattr(batch, "fit", lambda problem, *, key: None)
     eyes, out = tmp_path / "eyes", tmp_path / "out"
     eyes.mkdir()
     for name in ("a", "b"):
@@ -162,6 +167,10 @@ def test_posteriors_of_a_batch(irisjax, eye, searched, monkeypatch, tmp_path):
     assert sampled == [("a", 16, how), ("b", 16, how)]
     found = {n: (r["status"], r["posterior"]) for n, r in rows_of(out / "fits.csv").items()}
     assert found == {"a": ("ok", "converged"), "b": ("failed", "not long enough")}
+    assert {n: [*x] for n, x in np.load(out / "a" / "likelihood.npz").items()} == {
+        "melanin_load": [0, 2, 4],
+        "hemoglobin": [1, 3, 5],
+    }
     # Only what is not done yet goes on.
     assert irisjax(*arguments, "--resume")[0] == 3
     assert sampled[2:] == [("b", 16, how | {"resume": True})]

@@ -8,7 +8,7 @@ from refusals import one_line
 
 from irisjax.cli import many
 from irisjax.infer.priors import LogNormal, Uniform
-from irisjax.io.fits import COVARIANCES, covariance_rows
+from irisjax.io.fits import COVARIANCES, LIKELIHOOD, covariance_rows
 from irisjax.io.posterior import write_posterior
 
 PRIORS = {"melanin_load": LogNormal(0.15, 1.2), "abl_fraction": Uniform(0, 1)}
@@ -78,11 +78,15 @@ def test_draws_replace_fits_where_every_eye_has_them(irisjax, tmp_path):
             drawn = {"melanin_load": loads, "abl_fraction": random.uniform(0.3, 0.6, (4, 100))}
             arrays = {n: (("chain", "draw"), x) for n, x in drawn.items()}
             write_posterior(folder / f"e{i}" / "posterior.nc", {"posterior": arrays}, {}, {})
+            if folder is b:  # these take their place: of loads twice as large
+                known = {n: PRIORS[n].standard(x.ravel()[:256]) for n, x in drawn.items()}
+                known["melanin_load"] += np.log(2) / 1.2
+                np.savez(folder / f"e{i}" / LIKELIHOOD, **known)
     status, printed, _ = irisjax("compare-groups", a, b, "-o", tmp_path / "groups.csv")
     assert status == 0 and "256 draws of its posterior" in printed and "WARNING" not in printed
     load = table_of(tmp_path / "groups.csv")["melanin_load"]
     assert float(load["mean_a"]) == pytest.approx(0.1, rel=0.1)
-    assert float(load["mean_b"]) == pytest.approx(0.3, rel=0.1)
+    assert float(load["mean_b"]) == pytest.approx(0.6, rel=0.1)
     text = (b / "fits.csv").read_text()
     (b / "fits.csv").write_text(text.replace("converged", "not long enough", 1))
     assert "normal, the fit divided" in irisjax("compare-groups", a, b)[1]

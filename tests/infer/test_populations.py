@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from scipy.stats import truncnorm
 
-from irisjax.infer.populations import KERNELS, population
+from irisjax.infer.importance import Start
+from irisjax.infer.populations import KERNELS, WIDTH, likelihood_draws, population
 from irisjax.infer.repeatability import agreement, intraclass_correlation
 
 KEY = jax.random.key(1, impl="threefry2x32")
@@ -73,6 +74,37 @@ def test_draws_of_normal_posteriors_say_what_the_fits_say_and_others_more():
     z, covariance = np.full((20, 1), below.mean()), np.full((20, 1, 1), below.var())
     fits, drawn = (population(z, covariance, d, key=KEY) for d in (None, draws))
     assert drawn.mean.std() > 1.5 * fits.mean.std()
+
+
+def test_draws_reach_beyond_the_prior_of_the_fits():
+    """Normal likelihoods, known to 0.5, about 2.5: under a prior of sd 2 their posterior has the
+    precision 4 + 1/4, and the group's mean is found as from the fits.
+    """
+    random = np.random.default_rng(5)
+    data = 2.5 + np.hypot(0.5, 0.3) * random.standard_normal(12)
+    covariance, drawn = np.full((12, 1, 1), 1 / 5), []
+
+    class Eye:
+        names = ("other", "load")
+
+        def __init__(self, value):
+            self.value = value
+
+        def log_density(self, z):
+            return -2 * (z[:, 1] - self.value) ** 2 - 0.5 * (z**2).sum(axis=1)
+
+    for i, value in enumerate(data):
+        start = Start(np.array([0, 0.8 * value]), np.diag([1.0, 0.2]))
+        key = jax.random.fold_in(KEY, i)
+        drawn.append(likelihood_draws(Eye(value), start, ["load"], key=key))
+    drawn = np.array(drawn)
+    assert drawn.shape == (12, KERNELS, 1)
+    np.testing.assert_allclose(drawn.mean(1)[:, 0], data * 4 / 4.25, atol=0.15)
+    assert drawn.std(1).mean() == pytest.approx(4.25**-0.5, rel=0.05)
+    z = 0.8 * data[:, None]
+    fits, found = (population(z, covariance, *d, key=KEY) for d in ((), (drawn, WIDTH)))
+    assert found.mean.mean() == pytest.approx(fits.mean.mean(), abs=0.05)
+    assert found.mean.std() == pytest.approx(fits.mean.std(), rel=0.25)
 
 
 def test_intraclass_correlations_are_those_of_shrout_and_fleiss():
