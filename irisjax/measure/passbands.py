@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
-from scipy.special import ndtr
 
 from irisjax._types import Numbers, Spectrum
 from irisjax.measure.colour import illuminant_power
@@ -22,11 +21,15 @@ _LEAST = 1e-7  # share of a band's light below which a wavelength is left out
 _SIGMA = 1 / np.sqrt(8 * np.log(2))  # of a Gaussian, in full widths at half maximum
 
 
+def _gaussian(x: np.ndarray) -> np.ndarray:
+    from scipy.special import ndtr  # a quarter of a second, which a command without bands saves
+
+    return x * ndtr(x / _SIGMA) + _SIGMA * np.exp(-0.5 * (x / _SIGMA) ** 2) / np.sqrt(2 * np.pi)
+
+
 # Second antiderivatives of a band's shape, both in full widths from its centre.
 _TWICE_INTEGRATED = {
-    "gaussian": lambda x: (
-        x * ndtr(x / _SIGMA) + _SIGMA * np.exp(-0.5 * (x / _SIGMA) ** 2) / np.sqrt(2 * np.pi)
-    ),
+    "gaussian": _gaussian,
     "boxcar": lambda x: (np.maximum(x + 0.5, 0) ** 2 - np.maximum(x - 0.5, 0) ** 2) / 2,
 }
 

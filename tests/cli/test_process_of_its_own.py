@@ -161,7 +161,7 @@ def test_imports():
     library, command, names, double = json.loads(python("-c", IMPORTS).stdout)
     heavy = {"matplotlib", "colour", "emcee", "arviz", "viser", "typer", "tqdm", "OpenImageIO"}
     assert not heavy & set(library)
-    assert not {"matplotlib", "colour", "OpenImageIO"} & set(command)
+    assert not {"matplotlib", "colour", "OpenImageIO", "scipy.special"} & set(command)
     # Names load when asked for.
     assert names == ["read_maps", "Fit", False]
     assert double is False  # the precision is left alone
