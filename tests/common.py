@@ -5,6 +5,7 @@ import dataclasses
 import functools
 import importlib.metadata
 from pathlib import Path
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -38,6 +39,19 @@ def reference(name):
     """Rows of a reference table, as dictionaries of strings."""
     with open(Path(__file__).parent / "reference" / name, encoding="utf-8") as f:
         return list(csv.DictReader(line for line in f if not line.startswith("#")))
+
+
+class Csv(NamedTuple):
+    header: dict[str, str]
+    columns: dict[str, np.ndarray]
+
+
+def read_csv(path):
+    """A CSV file of a command."""
+    lines = Path(path).read_text("utf-8").splitlines()
+    names, *rows = csv.reader(line for line in lines if line and not line.startswith("#"))
+    columns = dict(zip(names, np.array(rows, float).T, strict=True))
+    return Csv(ij.io.read_header(path), columns)
 
 
 def stack(irides):

@@ -55,9 +55,9 @@ class Subject(opt.Group, panel="What"):
     def changing(self, file: SceneFile) -> SceneFile:
         """Return the scene with the changes that the options ask for."""
         entries = {"veins": self.veins, "limbal_ring": self.limbal_ring}
-        file = file.with_eye(**{k: v for k, v in entries.items() if v is not None})
-        file = file.with_lids() if self.lids else file
-        return file.without_residual() if self.no_residual else file
+        file = file.with_entries("eye", **{k: v for k, v in entries.items() if v is not None})
+        file = file.with_entries("lids") if self.lids else file
+        return file.with_entries("maps", residual=False) if self.no_residual else file
 
 
 class EyeWithPupil(Subject):

@@ -17,8 +17,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.media import TEAR
 from irisjax.export.gltf import gltf_files
 from irisjax.export.mesh import eye_meshes, mesh_files, right_handed, strip_meshes
-from irisjax.export.mitsuba import WIDEST, mitsuba_scene
-from irisjax.export.templates import filled
+from irisjax.export.mitsuba import WIDEST, filled, mitsuba_scene
 from irisjax.io.images import encode_exr, encode_png, spectral_channels
 from irisjax.io.maps import encode_maps
 from irisjax.io.tables import format_table, write_together

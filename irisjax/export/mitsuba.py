@@ -5,11 +5,12 @@ Mitsuba's frame is right-handed: x right, y up, +z out of the eye, so every z ch
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from string import Template
 
 import numpy as np
 
-from irisjax.export.templates import filled
 from irisjax.render.scene import Scene
 
 WIDEST = math.radians(20.0)
@@ -62,6 +63,20 @@ def mitsuba_scene(scene: Scene, *, relief: bool, white: _Rgb | None, haze: _Rgb 
         "lamps": "\n".join(_lamps(scene)) or None,
     }
     return filled("scene.xml", values)
+
+
+def filled(name: str, values: Mapping[str, str | None]) -> str:
+    """Fill in a template beside this module: `values` for its `$NAME`, without the lines that begin
+    with the `?NAME` of a value that is absent.
+    """
+    lines = []
+    for line in Path(__file__).with_name(name).read_text(encoding="utf-8").splitlines():
+        if line.startswith("?"):
+            needed, _, line = line[1:].partition(" ")
+            if values.get(needed) is None:
+                continue
+        lines.append(line)
+    return Template("\n".join(lines) + "\n").substitute(values)
 
 
 def _lamps(scene: Scene) -> Iterator[str]:

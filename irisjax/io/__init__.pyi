@@ -36,11 +36,9 @@ from .scenes import SceneFile as SceneFile
 from .scenes import parse_scene as parse_scene
 from .scenes import read_scene as read_scene
 from .scenes import scene_text as scene_text
-from .tables import Table as Table
 from .tables import check_writable as check_writable
 from .tables import format_table as format_table
 from .tables import is_device as is_device
 from .tables import read_header as read_header
-from .tables import read_table as read_table
 from .tables import write_atomically as write_atomically
 from .tables import write_together as write_together

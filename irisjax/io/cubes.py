@@ -4,7 +4,7 @@ import contextlib
 import logging
 import warnings
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -338,8 +338,8 @@ def _sorted(cube: Cube) -> Cube:
         return cube
     order = np.argsort(grid, kind="stable")
     widths = None if cube.fwhm is None else cube.fwhm[order]
-    said = {"wavelengths": grid[order], "fwhm": widths}
-    return Cube(**{**vars(cube), **said, "read": lambda *rows: cube.read(*rows)[..., order]})
+    by: dict[str, Any] = {"wavelengths": grid[order], "fwhm": widths}
+    return replace(cube, **by, read=lambda *rows: cube.read(*rows)[..., order])
 
 
 def _check_count(grid: np.ndarray | None, shape: tuple[int, int, int], where: str) -> None:

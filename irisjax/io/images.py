@@ -12,6 +12,7 @@ import numpy as np
 
 from irisjax.io.tables import naming, replacing
 from irisjax.measure.colour import srgb_decode
+from irisjax.numerics.checks import check_known
 from irisjax.render.environment import Environment
 
 READABLE = (".exr", ".hdr", ".png", ".jpg", ".jpeg")
@@ -143,8 +144,7 @@ def spectral_channels(wavelengths: Iterable[float], layer: str = "S0") -> tuple[
     wavelengths in nm and the layers `"S0"` (to `"S3"`, Stokes components) for radiance, `"T"` for
     reflectance.
     """
-    if layer not in ("S0", "S1", "S2", "S3", "T"):
-        raise ValueError(f"unknown layer {layer!r}; known: S0, S1, S2, S3, T")
+    check_known("layer", layer, ("S0", "S1", "S2", "S3", "T"))
     numbers = (np.format_float_positional(w, trim="0") for w in np.asarray(wavelengths, np.float64))
     return tuple(f"{layer}.{number.replace('.', ',')}nm" for number in numbers)
 

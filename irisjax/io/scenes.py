@@ -87,19 +87,10 @@ class SceneFile:
                 drawn["maps"] = drawn["maps"].replace(residual=None)
         return Scene(**parts | drawn)
 
-    def without_residual(self) -> "SceneFile":
-        """The same scene without the map `residual` of its maps' file."""
-        maps = {**self.sections.get("maps", {}), "residual": False}
-        return dataclasses.replace(self, sections={**self.sections, "maps": maps})
-
-    def with_eye(self, **entries: Any) -> "SceneFile":
-        """The same scene with other entries of `[eye]`."""
-        eye = {**self.sections.get("eye", {}), **entries}
-        return dataclasses.replace(self, sections={**self.sections, "eye": eye})
-
-    def with_lids(self) -> "SceneFile":
-        """The same scene with lids."""
-        return dataclasses.replace(self, sections={"lids": {}, **self.sections})
+    def with_entries(self, section: str, **entries: Any) -> "SceneFile":
+        """Return the same scene with other entries of a section, which is added if it is absent."""
+        changed = self._of(section) | entries
+        return dataclasses.replace(self, sections={**self.sections, section: changed})
 
     def _of(self, section: str) -> dict[str, Any]:
         return dict(self.sections.get(section, {}))
@@ -241,7 +232,8 @@ def scene_text(
         "maps": {"uniform": True} if scene.maps is None else {},
         "eye": {
             "cornea": "none" if eye.cornea is None else "two-surfaces" if two else "f09",
-            **({"sclera": False} if eye.sclera is None else {"veins": eye.sclera.veins}),
+            "sclera": eye.sclera is not None,
+            "veins": 0.0 if eye.sclera is None or scene.veins is None else eye.sclera.veins,
             **{name: getattr(eye, name) for name in (*_EYE, "pupil_centre")},
             **{k: getattr(ring, n) if ring else None for k, n in LIMBAL_RING.items()},
             **({} if ring else {"limbal_ring": 0.0}),

@@ -12,19 +12,11 @@ import tempfile
 import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from irisjax._interrupt import unfinished
 from irisjax.io.text import HEADER, read_text
-
-
-class Table(NamedTuple):
-    """Contents of a CSV file: the header's values as text, and arrays (rows,) of the columns."""
-
-    header: dict[str, str]
-    columns: dict[str, np.ndarray]
 
 
 def format_table(header: Mapping[str, str], columns: Mapping[str, np.ndarray]) -> str:
@@ -52,32 +44,6 @@ def read_header(path: str | Path) -> dict[str, str]:
                 raise ValueError(f"{path}, line {number}: {key} appears twice in the header")
             header[key] = value
     return header
-
-
-def read_table(path: str | Path) -> Table:
-    """Read a CSV file as `format_table` writes it; a `ValueError` names file and line."""
-    header = read_header(path)
-    # Comments may be anywhere; messages need the true line numbers.
-    lines = enumerate(read_text(path).splitlines(), 1)
-    body = {n: line for n, line in lines if line.strip() and not line.startswith("#")}
-    rows = zip(body, csv.reader(body.values()), strict=True)
-    with naming(path):
-        first, names = next(rows, (0, []))
-        columns: dict[str, list[float]] = {name.strip(): [] for name in names}
-        if not columns:
-            raise ValueError("no columns")
-        if len(columns) != len(names):
-            raise ValueError(f"line {first}: a column name appears twice")
-        for number, row in rows:
-            if len(row) != len(names):
-                raise ValueError(f"line {number}: {len(row)} values for {len(names)} columns")
-            for (name, column), text in zip(columns.items(), row, strict=True):
-                try:
-                    column.append(float(text))
-                except ValueError:
-                    said = f"{name} = {text!r} is not a number"
-                    raise ValueError(f"line {number}: {said}") from None
-    return Table(header, {name: np.array(column) for name, column in columns.items()})
 
 
 @contextlib.contextmanager

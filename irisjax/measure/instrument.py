@@ -7,13 +7,12 @@ from typing import Any, ClassVar, Literal, TypedDict, TypeVar, get_args
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from irisjax._types import Numbers, Scalar, Spectrum
 from irisjax.anatomy.media import Media
 from irisjax.measure.measurement import Reading, check_cosine, check_wavelengths
 from irisjax.measure.passbands import Passbands, bands_of
-from irisjax.numerics.checks import Range, check_range, check_scalars
+from irisjax.numerics.checks import Range, check_known, check_number, check_range, check_scalars
 from irisjax.tissue.pigments import Extinction, extinction
 from irisjax.transport.light import Directions, Light
 from irisjax.transport.solution import Solution
@@ -106,16 +105,13 @@ class AbstractInstrument(eqx.Module):
         self.bands = bands_of(wavelengths, bands)
         wavelengths = wavelengths if self.bands is None else self.bands.wavelengths
         check_cosine("cos_incidence", cos_incidence)
-        if cornea not in get_args(Crossing):
-            raise ValueError(f"cornea = {cornea!r}; known: {', '.join(get_args(Crossing))}")
+        check_known("cornea", cornea, get_args(Crossing))
         diffuse = isinstance(cos_incidence, str)
         if diffuse and cornea != "none":
             why = "through the cornea light comes from one direction"
             raise ValueError(f'cos_incidence = "diffuse" needs cornea="none": {why}')
         self.pigments = extinction(wavelengths)
-        if np.shape(gain):
-            raise ValueError(f"gain has shape {np.shape(gain)}; it must be one number")
-        check_range("gain", gain, GAIN)
+        check_number("gain", gain, GAIN)
         dtype = self.pigments.wavelengths.dtype
         self.cos_incidence = None if diffuse else _number(cos_incidence, dtype)
         self.media = Media.default() if media is None else media

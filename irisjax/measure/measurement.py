@@ -7,7 +7,7 @@ from jax.core import Tracer
 from numpy.typing import DTypeLike
 
 from irisjax._types import Numbers, Spectrum
-from irisjax.numerics.checks import Range, check_range
+from irisjax.numerics.checks import Range, check_number
 from irisjax.transport.solution import RESULTS, Absorbed
 
 DIFFUSE = "diffuse"
@@ -97,7 +97,4 @@ def check_cosine(name: str, cosine: Numbers) -> None:
         if cosine != DIFFUSE:
             raise ValueError(f"{name} must be a number in [0, 1] or {DIFFUSE!r}, got {cosine!r}")
         return
-    if shape := np.shape(cosine):
-        said = "it must be one number: use jax.vmap for several"
-        raise ValueError(f"{name} has shape {shape}; {said}")
-    check_range(name, cosine, COSINE)
+    check_number(name, cosine, COSINE)

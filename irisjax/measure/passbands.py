@@ -9,7 +9,7 @@ from jaxtyping import Array, ArrayLike, Float
 from irisjax._types import Numbers, Spectrum
 from irisjax.measure.colour import illuminant_power
 from irisjax.measure.measurement import check_wavelengths
-from irisjax.numerics.checks import Range, check_range
+from irisjax.numerics.checks import Range, check_known, check_range
 from irisjax.tissue.pigments import common_range
 
 BANDWIDTH = Range(0, 300, "nm", above=True)
@@ -63,8 +63,7 @@ class Passbands(eqx.Module):
         Raises:
             ValueError: For a width or shape out of range.
         """
-        if shape not in _TWICE_INTEGRATED:
-            raise ValueError(f"shape = {shape!r}; known: {', '.join(_TWICE_INTEGRATED)}")
+        check_known("shape", shape, _TWICE_INTEGRATED)
         check_wavelengths(wavelengths)
         check_range("bandwidth", width, BANDWIDTH)
         centres = np.asarray(wavelengths, float)

@@ -16,7 +16,7 @@ from irisjax._types import Numbers, Scalar, Spectrum
 from irisjax.measure.instrument import AbstractInstrument, InstrumentSettings
 from irisjax.measure.measurement import HEMISPHERE, Reading, check_cosine
 from irisjax.numerics.angle import arctan2
-from irisjax.numerics.checks import Range, check_range
+from irisjax.numerics.checks import Range, check_known, check_number
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.mueller import polarised_at, rotation
 from irisjax.transport.light import Directions
@@ -65,9 +65,7 @@ class PolarisedInstrument(AbstractInstrument):
         if not everywhere:
             check_cosine("cos_exit", cos_exit)
         for name, angle in (("polariser", polariser), ("azimuth", azimuth)):
-            if np.shape(angle):
-                raise ValueError(f"{name} has shape {np.shape(angle)}; it must be one number")
-            check_range(name, angle, _ANGLE)
+            check_number(name, angle, _ANGLE)
         dtype = self.wavelengths.dtype
         self.polariser = None if polariser is None else jnp.asarray(polariser, dtype)
         self.cos_exit = None if everywhere else jnp.asarray(cos_exit, dtype)
@@ -120,8 +118,7 @@ class Analyser(PolarisedInstrument):
         polariser: Numbers = 0.0,
         **settings: Any,
     ):
-        if setting not in (known := get_args(AnalyserSetting)):
-            raise ValueError(f"setting = {setting!r}; known: {', '.join(known)}")
+        check_known("setting", setting, get_args(AnalyserSetting))
         if polariser is None:
             raise ValueError("an analyser needs a polariser: give its angle")
         super().__init__(wavelengths, polariser=polariser, **settings)

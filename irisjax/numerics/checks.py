@@ -42,6 +42,14 @@ def check_range(name: str, value: object, allowed: Range) -> None:
         raise ValueError(f"{name} = {_shown(v[~good].flat[0])}{unit} is outside {allowed}")
 
 
+def check_number(name: str, value: Any, allowed: Range) -> None:
+    """`check_range` of one number; raise `ValueError` for an array of several."""
+    if shape := np.shape(value):
+        said = "it must be one number: use jax.vmap for several"
+        raise ValueError(f"{name} has shape {shape}; {said}")
+    check_range(name, value, allowed)
+
+
 def check_whole(name: str, value: object, low: int, high: float = np.inf) -> None:
     """Raise `ValueError` unless a setting is a whole number in [low, high]."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer):

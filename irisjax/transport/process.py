@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from irisjax._types import AnyReals, Real
+from irisjax.numerics.checks import check_known
 from irisjax.optics.fresnel import Shares
 from irisjax.optics.phase import PHASES, AbstractPhase
 
@@ -66,9 +67,7 @@ class Ilit(AbstractProcess):
 
     def __check_init__(self) -> None:
         for name, kind in (("phase", Phase), ("rescatter", Rescatter)):
-            if getattr(self, name) not in get_args(kind):
-                known = ", ".join(get_args(kind))
-                raise ValueError(f"{name} = {getattr(self, name)!r}; known: {known}")
+            check_known(name, getattr(self, name), get_args(kind))
 
     @property
     def phase_function(self) -> AbstractPhase:

@@ -13,7 +13,7 @@ import jax
 import pytest
 from stand_ins import FREE, with_quick, without_search
 
-import irisjax as ij
+from common import read_csv
 from irisjax import cli
 
 
@@ -50,7 +50,7 @@ def printed(tmp_path):
     def read(text):
         path = tmp_path / "printed.csv"
         path.write_text(text)
-        return ij.io.read_table(path)
+        return read_csv(path)
 
     return read
 

@@ -9,7 +9,8 @@ import time
 
 import pytest
 
-from irisjax import _interrupt, io
+from common import read_csv
+from irisjax import _interrupt
 from irisjax.__main__ import main as door
 
 
@@ -44,7 +45,7 @@ def test_the_real_command(tmp_path):
     said = ("spectrum", "--level", "low", "--wavelengths", "450", "-o", "x.csv")
     done = python("-m", "irisjax", *said, cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
-    value = io.read_table(tmp_path / "x.csv").columns["reflectance"]
+    value = read_csv(tmp_path / "x.csv").columns["reflectance"]
     assert value == pytest.approx(0.0405, abs=5e-5)
 
 

@@ -9,6 +9,7 @@ import trimesh
 from handed_over import pixels, rgb, sector
 
 import irisjax as ij
+from common import read_csv
 from irisjax import cli, io
 from irisjax.export import export_scene
 from irisjax.export.handover import REFLECTANCE_WAVELENGTHS, check_new_folder
@@ -49,7 +50,7 @@ def test_albedo_is_the_spectrophotometers(bare):
 
 def test_brdf_table_is_the_goniophotometers(bare):
     scene, folder, _ = bare
-    table = io.read_table(folder / "brdf.csv")
+    table = read_csv(folder / "brdf.csv")
     c = table.columns
     assert len(c["red"]) == 18 * 18 * 3 and "simulated" in table.header
     pick = (c["theta_i_deg"] == 60) & (c["dphi_deg"] == 90)

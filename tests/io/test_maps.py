@@ -77,7 +77,7 @@ def test_scene_of_a_clone_has_its_residual_unless_told_not_to(tmp_path):
     (tmp_path / "scene.toml").write_text('[maps]\nfile = "m.exr"\n')
     file = read_scene(tmp_path / "scene.toml")
     np.testing.assert_array_equal(np.asarray(file.scene().maps.residual), residual)
-    assert set(file.without_residual().scene().maps.present()) == {"relief"}
+    assert set(file.with_entries("maps", residual=False).scene().maps.present()) == {"relief"}
     (tmp_path / "scene.toml").write_text('[maps]\nfile = "m.exr"\nresidual = false\n')
     assert read_scene(tmp_path / "scene.toml").scene().maps.residual is None
 

@@ -100,7 +100,7 @@ def test_errors_of_photons_average():
             lambda: ij.Spectrophotometer(GRID + 30, bands=ij.Passbands.slit(GRID, 5.0)),
             "no band is centred near 470 nm: the next is at 440 nm",
         ),
-        (lambda: ij.Passbands.slit(GRID, 5.0, "square"), "shape = 'square'; known: gaussian"),
+        (lambda: ij.Passbands.slit(GRID, 5.0, "square"), "unknown shape 'square'; known: gaussian"),
         (lambda: ij.Passbands.of(GRID, -np.ones((7, 1))), "must be zero or more"),
         (lambda: ij.Passbands.of(GRID, np.ones((6, 1))), "sensitivities of shape"),
     ],

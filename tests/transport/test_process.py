@@ -25,8 +25,8 @@ def test_presets():
 @pytest.mark.parametrize(
     ("switch", "value", "message"),
     [
-        ("phase", "isotropic", "phase = 'isotropic'; known: lb06, rayleigh"),
-        ("rescatter", "again", "rescatter = 'again'; known: to-interface, retest"),
+        ("phase", "isotropic", "unknown phase 'isotropic'; known: lb06, rayleigh"),
+        ("rescatter", "again", "unknown rescatter 'again'; known: to-interface, retest"),
     ],
 )
 def test_unknown_switch(switch, value, message):
