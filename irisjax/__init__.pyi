@@ -19,6 +19,7 @@ from .anatomy.eye import Eye as Eye
 from .anatomy.eye import LimbalRing as LimbalRing
 from .anatomy.eye import Sclera as Sclera
 from .anatomy.media import Media as Media
+from .grow.lids import lids as lids
 from .grow.presets import preset as preset
 from .grow.procedural import procedural as procedural
 from .grow.vessels import veins as veins

@@ -38,6 +38,7 @@ EYE_LIMITS = {
     "pupil_centre": Range(-1, 1, "mm"),
     "radius": Range(8, 16, "mm"),
     "veins": Range(0, 10),
+    "yellowing": Range(0, 10),
     "hemoglobin": Range(0, 10, "mmol/l"),
     "saturation": Range(0, 1),
     "attenuation": Range(0, 1, "1/mm"),
@@ -86,12 +87,15 @@ class Sclera(eqx.Module):
         veins: Density of the drawn vessels; 0 for none.
         hemoglobin: Haemoglobin in the vessels, mmol/l.
         saturation: Oxygen saturation in the vessels.
+        yellowing: Yellow pigment of the white, of that of other bloodless tissues; 0 is a child's,
+            bluish white.
     """
 
     radius: Scalar = float_field(11.5)
     veins: Scalar = float_field(1.0)
     hemoglobin: Scalar = float_field(2.3)
     saturation: Scalar = float_field(0.9)
+    yellowing: Scalar = float_field(1.0)
 
     def __check_init__(self) -> None:
         check_fields(self, EYE_LIMITS)

@@ -18,7 +18,7 @@ VEINS = {"clear": 0.15, "usual": 0.35, "bloodshot": 1.5}
 _STEP = 0.06  # mm along a curve
 _CHUNK = 8192  # segments stamped at once
 _LOST = 0.97  # share of a vessel's r³ that leaves it by its daughters
-_SPREAD = 0.09  # mm, how far the tissue above an episcleral vessel blurs its edge
+_SPREAD = 0.07  # mm, how far the tissue above an episcleral vessel blurs its edge
 
 
 class _Curves(NamedTuple):
@@ -51,9 +51,10 @@ def veins(eye: Eye, *, shape: tuple[int, int] = (1024, 512), key: PRNGKey) -> Ve
 
     Conjunctival trees come from the periphery, many from the corners of the lids, share r³ with
     their daughters [Murray 1926] and end in arcades along the limbus, with hairpin loops between
-    them; trunks have radii of 20 to 50 µm, loops 6 µm, as wide as the conjunctival vessels that OCT
-    finds there. Episcleral vessels are fewer, straighter and wider (40 to 90 µm). Their number
-    grows with `eye.sclera.veins`; at 1 they cover 9 % of the sclera. Approximation: at crossings
+    them; trunks have radii of 14 to 38 µm, loops 6 µm, as wide as the conjunctival vessels that OCT
+    finds there. Episcleral vessels are fewer, straighter and wider (25 to 70 µm). All fade towards
+    the limbus, and a flush stands for capillaries too fine to be drawn. Their number grows with
+    `eye.sclera.veins`. Approximation: at crossings
     the vessel of larger cover counts alone, and so does the thicker one.
 
     Args:
@@ -70,14 +71,35 @@ def veins(eye: Eye, *, shape: tuple[int, int] = (1024, 512), key: PRNGKey) -> Ve
         return None
     rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
     maps = depth, cover, deep = np.zeros((3, *shape))
-    levels = [_trunks(rng, globe, round(40 * density), (0.02, 0.05), 0.5)]
+    levels = [_trunks(rng, globe, round(40 * density), (0.014, 0.038), 0.5)]
     for forks, reach in ((5, 4.0), (3, 2.2), (1, 1.2)):
         levels.append(_branches(rng, globe, levels[-1], forks, reach))
     for curves in (*levels, _loops(rng, globe, round(220 * density))):
         _stamp([(depth, _chord), (cover, _cover)], globe, curves, 0.03)
-    episcleral = _trunks(rng, globe, round(14 * density), (0.04, 0.09), 0.25)
-    _stamp([(deep, _shade)], globe, episcleral, 3 * _SPREAD)
+    # Light that wanders sideways below a vessel meets it too: a faint shade round it.
+    for curves in levels[:3]:
+        _stamp([(deep, _halo)], globe, curves, 3 * _SPREAD)
+    episcleral = _trunks(rng, globe, round(24 * density), (0.025, 0.07), 0.3)
+    levels = [episcleral, _branches(rng, globe, episcleral, 4, 3.0)]
+    for curves in levels:
+        _stamp([(deep, _shade)], globe, curves, 3 * _SPREAD)
+    arc = globe.end * (np.arange(shape[1]) + 0.5) / shape[1]  # mm from the limbus
+    shown = np.clip((arc - 0.2) / 4.0, 0, 1) ** 0.7
+    cover *= 0.3 + 0.7 * shown
+    deep *= shown
+    deep += _flush(rng, density, shape) * (0.4 + 0.6 * shown)
+    maps[1:] = np.clip(maps[1:], 0, 1)
     return VeinMap(*jnp.asarray(maps, jnp.result_type(float)))
+
+
+def _flush(rng, density: float, shape: tuple[int, int]) -> np.ndarray:
+    """Capillaries too fine to be drawn: blotches, denser towards the corners of the lids."""
+    azimuth = 2 * np.pi * (np.arange(shape[0]) + 0.5) / shape[0]
+    waves = np.fft.fftfreq(shape[0], 1 / shape[0])[:, None], np.fft.fftfreq(shape[1], 1 / shape[1])
+    keep = np.exp(-((waves[0] / 14) ** 2) - (waves[1] / 5) ** 2)
+    blotches = np.fft.ifft2(np.fft.fft2(rng.normal(size=shape)) * keep).real
+    towards = 0.5 + 0.5 * np.cos(azimuth)[:, None] ** 2
+    return 0.07 * density**0.5 * towards * np.clip(1 + 0.5 * blotches / blotches.std(), 0, 3)
 
 
 def _trunks(rng, globe: _Globe, count: int, radii, wander: float) -> _Curves:
@@ -162,6 +184,11 @@ def _cover(distance, radius, width):
 def _shade(distance, radius, width):
     """Share of the light that meets a deep vessel, blurred by the tissue over it."""
     return 0.5 * (np.tanh((distance + radius) / _SPREAD) - np.tanh((distance - radius) / _SPREAD))
+
+
+def _halo(distance, radius, width):
+    """Share of the light that meets a conjunctival vessel from below."""
+    return 0.35 * _shade(distance, radius, width)
 
 
 def _stamp(layers, globe: _Globe, curves: _Curves, margin: float) -> None:

@@ -128,6 +128,7 @@ class SceneFile:
         kind, white = given.pop("cornea", "two-surfaces"), given.pop("sclera", True)
         density: Any = given.pop("veins", "clear")
         density = VEINS.get(density, density)
+        whiteness = {k: given.pop(k) for k in ("yellowing",) if k in given}
         ring = {name: given.pop(key) for key, name in LIMBAL_RING.items() if key in given}
         if "file" not in self._of("maps"):
             given.setdefault("limbus_width", LIMBUS_WIDTH)
@@ -138,7 +139,7 @@ class SceneFile:
         eye = Eye(
             cornea={"two-surfaces": Cornea(), "f09": Cornea.f09(), "none": None}[kind],
             limbal_ring=LimbalRing(**ring) if ring.get("darkening", 1) > 0 else None,
-            sclera=Sclera(veins=density) if white and kind != "none" else None,
+            sclera=Sclera(veins=density, **whiteness) if white and kind != "none" else None,
             **given,
         )
         drawn = None if eye.sclera is None else veins(eye, key=self._key("veins"))
@@ -234,6 +235,7 @@ def scene_text(
             "cornea": "none" if eye.cornea is None else "two-surfaces" if two else "f09",
             "sclera": eye.sclera is not None,
             "veins": 0.0 if eye.sclera is None or scene.veins is None else eye.sclera.veins,
+            "yellowing": getattr(eye.sclera, "yellowing", None),
             **{name: getattr(eye, name) for name in (*_EYE, "pupil_centre")},
             **{k: getattr(ring, n) if ring else None for k, n in LIMBAL_RING.items()},
             **({} if ring else {"limbal_ring": 0.0}),
@@ -336,6 +338,7 @@ SECTIONS: dict[str, dict[str, EntryCheck]] = {
         **{name: EYE_LIMITS[name] for name in _EYE},
         **{key: EYE_LIMITS[name] for key, name in LIMBAL_RING.items()},
         "veins": _density,
+        "yellowing": EYE_LIMITS["yellowing"],
         "pupil_centre": listed("[x, y] in mm", EYE_LIMITS["pupil_centre"]),
     },
     "lids": {**LID_LIMITS, "nose": tuple(SIDES)},

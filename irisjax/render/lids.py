@@ -12,7 +12,7 @@ from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
-from irisjax._types import Scalar, Spectrum
+from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.lids import DOME, EDGE_WIDTH, FACE, FENCE, Lids
 from irisjax.anatomy.sclera import sclera_centre
@@ -23,6 +23,11 @@ from irisjax.numerics.strokes import sections, stamped
 from irisjax.optics.conicoid import Parts, Vector, along, parts
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
+from irisjax.tissue.diffusion import (
+    bloodless_absorption,
+    diffuse_reflectance,
+    melanosome_absorption,
+)
 from irisjax.tissue.pigments import extinction
 
 LASH = 0.015
@@ -59,24 +64,6 @@ class LidPixels(eqx.Module):
     wet: Float[Array, " pixels"]
 
 
-def diffuse_reflectance(
-    absorption: Spectrum, scattering: Spectrum, inside: float = 0.493
-) -> Spectrum:
-    """Diffuse reflectance of a deep tissue, by diffusion theory
-    [Flock et al. 1989, IEEE Trans. Biomed. Eng. 36, 1162].
-
-    Args:
-        absorption: Absorption coefficient, 1/mm.
-        scattering: Reduced scattering coefficient, 1/mm.
-        inside: Share of diffuse light that the surface reflects back inside; by default that of an
-            index of 1.4.
-    """
-    albedo = scattering / (absorption + scattering)
-    k = (1 + inside) / (1 - inside)
-    lost = 1 - albedo
-    return albedo / (1 + 2 * k * lost + (1 + 2 * k / 3) * jnp.sqrt(3 * lost))
-
-
 def skin_reflectance(
     wavelengths: ArrayLike, melanin: Scalar, blood: Scalar
 ) -> Float[Array, " wavelengths"]:
@@ -87,9 +74,9 @@ def skin_reflectance(
     x = jnp.asarray(wavelengths, jnp.result_type(float))
     table = extinction(wavelengths)
     whole = 2.33 * (0.75 * table.oxyhemoglobin + 0.25 * table.deoxyhemoglobin)  # 150 g/l
-    rest = 0.0244 + 8.53 * jnp.exp(-(x - 154.0) / 66.2)
-    dermis = diffuse_reflectance(rest + blood * whole, 4.6 * (x / 500.0) ** -1.421)
-    return dermis * jnp.exp(-4 * 0.06 * melanin * 6.6e10 * x**-3.33)
+    lost = bloodless_absorption(wavelengths) + blood * whole
+    dermis = diffuse_reflectance(lost, 4.6 * (x / 500.0) ** -1.421)
+    return dermis * jnp.exp(-4 * 0.06 * melanin * melanosome_absorption(wavelengths))
 
 
 def lid_colours(

@@ -12,12 +12,13 @@ from common import operations, quick_jit
 from irisjax.anatomy.sclera import sclera_centre
 from irisjax.grow.lids import lids
 from irisjax.numerics.strokes import sections, stamped
-from irisjax.render.lids import diffuse_reflectance, let_in, meet_lids, skin_reflectance
+from irisjax.render.lids import let_in, meet_lids, skin_reflectance
 from irisjax.render.lights import Lights
 from irisjax.render.picture import surroundings, texture
 from irisjax.render.project import look, onto_picture, project
 from irisjax.render.scene import Scene
 from irisjax.render.shading import fluxes_of
+from irisjax.tissue.diffusion import diffuse_reflectance
 from render.small_scenes import LIGHT, QUICK
 
 BARE = ij.Eye(cornea=ij.Cornea(scatter=None))

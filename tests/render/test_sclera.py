@@ -4,11 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import scipy.linalg
 
 from irisjax.anatomy.eye import Eye, Sclera
 from irisjax.anatomy.sclera import limbus_depth, meet_sclera, sclera_centre, vein_place
 from irisjax.grow.vessels import veins
-from irisjax.measure.colour import tristimulus_matrix
+from irisjax.measure.colour import colour_of, tristimulus_matrix
 from irisjax.render.outside import (
     DEEPEST,
     SHALLOW,
@@ -19,6 +20,7 @@ from irisjax.render.outside import (
     veil,
     vein_depth_at,
 )
+from irisjax.tissue.diffusion import slab_reflectance
 
 GRID = np.arange(380.0, 781.0, 5.0)
 
@@ -33,17 +35,37 @@ def drawn():
 
 
 def test_without_blood_the_bulk():
-    bulk = bulk_reflectance(GRID)
+    bulk = bulk_reflectance(Sclera(), GRID)
     np.testing.assert_allclose(sclera_reflectance(Sclera(), GRID, bloody(0.0)), bulk)
     none = Blood(jnp.asarray(0.1), jnp.asarray(0.0), jnp.asarray(0.0))
     np.testing.assert_allclose(sclera_reflectance(Sclera(), GRID, none), bulk)
     assert ((bulk > 0.4) & (bulk < 0.8)).all()
 
 
+def test_a_slab_is_what_its_two_fluxes_integrate_to():
+    """dI/dx = −(K + S) I + S J, dJ/dx = (K + S) J − S I, by a matrix exponential."""
+    for absorbed, scattered, behind in ((0.05, 2.0, 0.1), (0.4, 3.0, 0.3), (0.0, 1.0, 0.0)):
+        k, s = 2 * absorbed, 0.75 * scattered
+        through = scipy.linalg.expm(1.1 * np.array([[-(k + s), s], [-s, k + s]]))
+        # From the front (1, R) to the back (T, behind T).
+        t = np.linalg.solve(through, np.eye(2)) @ [1.0, behind]
+        given = (jnp.asarray([v]) for v in (absorbed, scattered))
+        found = slab_reflectance(*given, 1.1, jnp.asarray([behind]))
+        np.testing.assert_allclose(found, t[1] / t[0], rtol=1e-6)
+
+
+def test_yellowing_takes_blue_from_the_white():
+    yellow = [
+        float(colour_of(GRID, bulk_reflectance(Sclera(yellowing=y), GRID)).lab[2])
+        for y in (0.0, 1.0, 4.0)
+    ]
+    assert yellow[0] < 0 < yellow[1] < 6 < yellow[2]
+
+
 def test_thick_vein_is_dark_red():
     r = sclera_reflectance(Sclera(), np.array([450.0, 550.0, 650.0]), bloody(0.25))
-    bulk = bulk_reflectance(np.array([450.0, 550.0, 650.0]))
-    assert r[0] < 0.15 * bulk[0] and r[1] < 0.15 * bulk[1] and r[2] > 0.7 * bulk[2]
+    bulk = bulk_reflectance(Sclera(), np.array([450.0, 550.0, 650.0]))
+    assert r[0] < 0.25 * bulk[0] and r[1] < 0.25 * bulk[1] and r[2] > 0.7 * bulk[2]
     everything = Blood(jnp.asarray(50.0), jnp.asarray(1.0), jnp.asarray(1.0))
     assert (sclera_reflectance(Sclera(), GRID, everything) >= 0).all()
     assert (
@@ -55,12 +77,13 @@ def test_thick_vein_is_dark_red():
 def test_beer_lambert_by_hand():
     # 560 nm: 32613.2 (HbO2) and 53788 (Hb) /cm/M, decadic, in Prahl's table.
     mu = np.log(10) * 0.1 * 2.0e-3 * (0.8 * 32613.2 + 0.2 * 53788.0)  # 17 per mm
-    v = 1.4 * SHALLOW * (560 / 550) ** -1.5
+    v = 0.75 * 2.71 * (560 / 500) ** -1.627 * SHALLOW
     v = v / (1 + v)
-    by_hand = (0.54 + 0.12 * 160 / 300) * (v + (1 - v) * np.exp(-2 * mu * 0.03))
-    got = sclera_reflectance(
-        Sclera(hemoglobin=2.0, saturation=0.8), np.array([560.0]), bloody(0.03)
+    sclera = Sclera(hemoglobin=2.0, saturation=0.8)
+    by_hand = float(bulk_reflectance(sclera, np.array([560.0]))[0]) * (
+        v + (1 - v) * np.exp(-2 * mu * 0.03)
     )
+    got = sclera_reflectance(sclera, np.array([560.0]), bloody(0.03))
     np.testing.assert_allclose(got[0], by_hand, rtol=1e-10)
 
 
@@ -68,7 +91,7 @@ def test_deep_vessels_are_fainter_and_bluer():
     shallow = sclera_reflectance(Sclera(), GRID, bloody(0.08))
     deep = sclera_reflectance(Sclera(), GRID, Blood(jnp.asarray(0.0), None, jnp.asarray(1.0)))
     assert (deep >= shallow - 1e-12).all()
-    lost = 1 - deep / bulk_reflectance(GRID)
+    lost = 1 - deep / bulk_reflectance(Sclera(), GRID)
     blue, green = np.searchsorted(GRID, 450), np.searchsorted(GRID, 545)
     assert lost[blue] < lost[green]
     assert veil(np.array([450.0]), 0.3)[0] > veil(np.array([650.0]), 0.3)[0]

@@ -1,0 +1,71 @@
+"""Tissue round the iris, by reduced coefficients: diffuse reflectances of white and skin.
+
+Coefficients are 1/mm, wavelengths nm. Two theories: diffusion for deep tissue, and two fluxes for a
+slab, whose coefficients are K = 2 μ_a and S = ¾ μ_s' [van Gemert & Star 1987].
+"""
+
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+
+from irisjax._types import Scalar, Spectrum
+
+_INSIDE = 0.493  # share of diffuse light that a surface of index 1.4 reflects back inside
+
+
+def diffuse_reflectance(
+    absorption: Spectrum, scattering: Spectrum, inside: float = _INSIDE
+) -> Spectrum:
+    """Diffuse reflectance of a deep tissue, by diffusion theory
+    [Flock et al. 1989, IEEE Trans. Biomed. Eng. 36, 1162].
+
+    Args:
+        absorption: Absorption coefficient.
+        scattering: Reduced scattering coefficient.
+        inside: Share of diffuse light that the surface reflects back inside; by default that of an
+            index of 1.4.
+    """
+    albedo = scattering / (absorption + scattering)
+    k = (1 + inside) / (1 - inside)
+    lost = 1 - albedo
+    return albedo / (1 + 2 * k * lost + (1 + 2 * k / 3) * jnp.sqrt(3 * lost))
+
+
+def slab_reflectance(
+    absorption: Spectrum,
+    scattering: Spectrum,
+    thickness: Scalar | float,
+    behind: Spectrum,
+) -> Spectrum:
+    """Diffuse reflectance of a slab, mm thick, by two fluxes [Kubelka & Munk 1931].
+
+    Args:
+        absorption: Absorption coefficient.
+        scattering: Reduced scattering coefficient.
+        thickness: Thickness, mm.
+        behind: Diffuse reflectance of what lies behind.
+    """
+    turned = 0.75 * scattering
+    lost = 2 * absorption / turned
+    root = jnp.sqrt(lost * (lost + 2) + 1e-12)
+    c = root / jnp.tanh(root * turned * thickness)
+    return (1 - behind * (1 + lost - c)) / (1 + lost - behind + c)
+
+
+def fibrous_scattering(wavelengths: ArrayLike) -> Spectrum:
+    """Reduced scattering coefficient of fibrous tissue, the mean of those that Jacques lists
+    [Jacques 2013, Phys. Med. Biol. 58, R37].
+    """
+    x = jnp.asarray(wavelengths, jnp.result_type(float))
+    return 2.71 * (x / 500.0) ** -1.627
+
+
+def bloodless_absorption(wavelengths: ArrayLike) -> Spectrum:
+    """Absorption coefficient of skin without blood and melanin [Jacques 1998, omlc.org]."""
+    x = jnp.asarray(wavelengths, jnp.result_type(float))
+    return 0.0244 + 8.53 * jnp.exp(-(x - 154.0) / 66.2)
+
+
+def melanosome_absorption(wavelengths: ArrayLike) -> Spectrum:
+    """Absorption coefficient within a melanosome of skin [Jacques 2013]."""
+    x = jnp.asarray(wavelengths, jnp.result_type(float))
+    return 51.9 * (x / 500.0) ** -3.0
