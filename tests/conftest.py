@@ -47,9 +47,10 @@ def pytest_configure(config):
         kept = config.cache.mkdir("compiled")
     else:
         return
-    # Not through the environment: commands that tests start as processes must not use it.
+    # Not through the environment: commands that tests start as processes must not use it. Small
+    # programs too: most cost more to compile than to read, and the workers need the same ones.
     jax.config.update("jax_compilation_cache_dir", str(kept))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
 
 def _processor():

@@ -14,6 +14,8 @@ from common import GRID, PROCESSES, exact, quick_jit
 from edges import BASE, EDGES, NO_SLOPE, NUMBERS, OF_DEPTHS, SAME_MEDIA, SWEEP, as_vector, edge
 from irisjax.tissue.iris import LIMITS
 
+pytestmark = pytest.mark.peer
+
 # Steps are chosen by field; where a field stands at an edge the difference is one-sided.
 SCALE = ("eumelanin", "pheomelanin", "abl_fraction", "lutein", "zeaxanthin")
 INDEX_FIELDS = (

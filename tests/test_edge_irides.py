@@ -9,6 +9,8 @@ import irisjax as ij
 from common import GRID, PROCESSES, exact, quick_jit, stack
 from edges import COSINES, EDGES, SAME_MEDIA, SWEEP, TINY, as_vector, reflectance_of
 
+pytestmark = pytest.mark.peer
+
 SOME = ("plain", "no-layers", "nothing-at-all", "equal-indices", "guided-stroma", "most-of-all")
 
 

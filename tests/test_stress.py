@@ -11,6 +11,8 @@ import irisjax as ij
 from common import PROCESSES, any_order, exact, layers, quick_jit
 from edges import BASE, COSINES, SWEEP, TINY, grazes
 
+pytestmark = pytest.mark.peer
+
 DEPTHS = np.array([0.0, 1e-12, 1e-6, 1e-3, 0.1, 1.0, 10.0, 1e3, 1e6])
 ABL, ABSORPTION, SCATTERING = (
     x.ravel() for x in np.meshgrid(DEPTHS, DEPTHS, DEPTHS, indexing="ij")

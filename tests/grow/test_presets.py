@@ -25,7 +25,7 @@ def test_presets_are_within_one_standard_deviation_of_photographed_irides(proces
     solver, bands, eye = SOLVERS[process], colour_bands(), Eye()
     table = extinction(np.asarray(bands.wavelengths))
     place = np.asarray(cell_centres(SHAPE)[1])
-    columns = np.flatnonzero((place > 0.4) & (place < 0.9))
+    columns = np.flatnonzero((place > 0.4) & (place < 0.9))[::3]
     weight = np.asarray(eye.from_axis(place))[columns] / eye.from_axis(place)[columns].sum()
 
     @jax.jit

@@ -22,6 +22,8 @@ from irisjax.render.single_scattering import SingleScattering, TabulatedSingleSc
 from irisjax.tissue.maps import IrisMaps, Scales
 from render.small_scenes import rays_of
 
+pytestmark = pytest.mark.peer
+
 WAVES = (450.0, 550.0, 650.0)
 
 

@@ -18,6 +18,8 @@ from common import ILIT, PROCESSES, any_order, layers, quick_jit
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.transport.process import DEPTH_RESOLVED
 
+pytestmark = pytest.mark.peer
+
 # Depths in optical depth; media are (aqueous, ABL, stroma, IPE).
 MATCHED = (1.4, 1.4, 1.4, 1.4)
 IRIS = (1.336, 1.4733333333, 1.4727930095, 1.5)

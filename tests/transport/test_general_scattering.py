@@ -15,6 +15,8 @@ from common import DOUBLE_FIRST, layers, quick_jit, slowly
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.transport.radiative import resolution
 
+pytestmark = pytest.mark.peer
+
 DEPTHS = (0.0, 1e-12, 1.0, 1e6)
 SOLVER = ij.AddingDoubling(16, 23)  # one program for nearly all
 COUNT = 12

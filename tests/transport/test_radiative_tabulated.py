@@ -11,6 +11,8 @@ from experiments.radiative_table import build
 from irisjax.tissue.layers import Layers
 from irisjax.transport.defaults import quickest, table_for
 
+pytestmark = pytest.mark.peer
+
 GRID = np.array([400.0, 480.0, 560.0, 640.0, 700.0])
 EXACT = ij.RadiativeExact(24, 8, 5)
 IRIDES = {

@@ -13,6 +13,8 @@ import irisjax as ij
 from irisjax.transport.radiative import resolution
 from irisjax.transport.radiative.directions import beams_and_exits, from_outside
 
+pytestmark = pytest.mark.peer
+
 SOLVER = ij.AddingDoubling(16, 9)
 FIRST = ij.AddingDoubling(32, 0)  # no doubling: the first layer alone
 COUNT = 8  # slabs

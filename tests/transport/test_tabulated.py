@@ -16,6 +16,8 @@ from common import GRID
 from edges import OF_DEPTHS
 from irisjax.transport.defaults import table_for
 
+pytestmark = pytest.mark.peer
+
 FINE = ij.IlitExact(n_angles=64)
 
 
