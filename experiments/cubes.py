@@ -84,13 +84,13 @@ def simulate(folder, size, process, key):
     )  # fmt: skip
 
 
-def mapped(cube, maps):
+def mapped(cube, maps, *more):
     """Map a cube by the command: wall and CPU seconds, and peak memory, MiB."""
     header = io.read_cube(cube / "cube.hdr").header
     return run(
         "map", cube / "cube.hdr", "--white", cube / "white.csv", "--dark", cube / "dark.csv",
         "--limbus", header["limbus"], "--pupil", header["pupil"], "--relative-noise", str(NOISE),
-        "--free", ",".join(FREE), "-o", maps, "--overwrite",
+        "--free", ",".join(FREE), "-o", maps, "--overwrite", *more,
     )  # fmt: skip
 
 

@@ -20,6 +20,7 @@ NAMES = sorted(
 )
 # A minute each, of timing or of compiling; the others take seconds.
 SLOW = {
+    "amortised",
     "bench_accuracy_time",
     "bench_device",
     "bench_inversion",
