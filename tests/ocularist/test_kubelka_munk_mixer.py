@@ -208,7 +208,7 @@ def test_a_file_with_a_surface(tmp_path):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "no numbers"),
+        ("", "no rows of numbers"),
         ("nm,a_K,a_S\n" + rows(1, 1), "the first column must be wavelength_nm, not 'nm'"),
         ("wavelength_nm,a_K,a_S\n" + rows(1, 1) + "720,x,1\n", "line 18: 'x' is not a number"),
         ("wavelength_nm,a_K,a_S\n" + rows(-1, 1), r"line 2: a_K = -1 is outside \[0, inf\)"),
