@@ -6,8 +6,9 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from PIL import Image
 from scipy import ndimage, spatial, stats
-from skimage import filters, measure, morphology, transform
+from skimage import filters, measure, morphology
 
 from irisjax.photo.edges import by_channel
 from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
@@ -24,7 +25,7 @@ _LASH_CLEAR = 0.15, 0.35
 _UNLIKE_IRIS = 3.0  # differences in units of the usual scatter
 # Brightness, red against blue, green against both.
 _OPPONENT = np.array([LUMINANCE_WEIGHTS, (1, 0, -1), (-1, 2, -1)])
-_LIKE_SKIN = 0.35  # difference of the logarithms
+_LIKE_SKIN, _MANY = 0.35, 8000  # difference of the logarithms; pixels of the skin compared
 _LID_EDGES = (-0.15, 0.0, 0.15, 0.3, 0.45, 0.6), np.linspace(-0.3, 0.3, 7)  # bends and slopes
 _LEAST_LID, _OF_A_LID = 0.012, 0.2  # least score, of the iris's pixels and of the lid's
 # Shadows of lashes, in units of the limbus's radius:
@@ -213,7 +214,7 @@ def find_reflections(pixels: Colours, limbus: Ellipse, pupil: Ellipse, iris: Mas
     if not counted.any():
         return np.zeros_like(iris)
     size, ring = max(radius.shape), (radius * _RINGS).astype(int)
-    disk = morphology.disk(max(1, round(_WIDE * size)))
+    least = max(1, round(_WIDE * size))
     seen = [masked_mean(c, counted, _FIBRES * size) for c in np.moveaxis(_encoded(small), -1, 0)]
     encoded, usual = np.stack(seen, -1), np.zeros_like(small)
     for k in np.unique(ring[counted]):
@@ -222,7 +223,7 @@ def find_reflections(pixels: Colours, limbus: Ellipse, pupil: Ellipse, iris: Mas
     strange, common = np.zeros(radius.shape), counted
     for _ in range(_CLIPPED):
         spread = np.cov(off[common].T, bias=True) + _LEAST_SCATTER**2 * np.eye(3)
-        strange = np.sqrt(np.einsum("...i,ij,...j", off, np.linalg.inv(spread), off))
+        strange = np.sqrt(((off @ np.linalg.inv(spread)) * off).sum(-1))
         common = counted & (strange < _COMMON)
     excess, more = off @ LUMINANCE_WEIGHTS, encoded**2.2 - usual**2.2
     most = np.maximum(more.max(-1), 1e-6)
@@ -231,7 +232,7 @@ def find_reflections(pixels: Colours, limbus: Ellipse, pupil: Ellipse, iris: Mas
     glow = counted & (white | sky) & (excess > _BRIGHTER[0] / 2)
     # Over the black pupil.
     black = part.reduced(pupil.mask(iris.shape)) > 0.9
-    light = morphology.opening(_encoded(small @ LUMINANCE_WEIGHTS), disk)
+    light = morphology.opening(_encoded(small @ LUMINANCE_WEIGHTS), morphology.disk(least))
     dark = np.quantile(light[black], 0.25) if black.any() else 0.0
     mirrored = _grown(black & (light > dark + _BRIGHTER[0]), 2 + round(0.02 * size))
 
@@ -240,14 +241,13 @@ def find_reflections(pixels: Colours, limbus: Ellipse, pupil: Ellipse, iris: Mas
         return excess[at].mean() > least and strange[at].mean() > _STRANGE
 
     # Fibres are as bright as some reflections, but not as wide.
-    wide = regions_that(added, morphology.opening(glow & (strange > _STRANGE / 2), disk))
+    wide = regions_that(added, _opened(glow & (strange > _STRANGE / 2), least))
     # Between mirrored lashes they are as narrow.
     near = np.asarray(ndimage.distance_transform_edt(~wide)) < max(2.0, _BESIDE * size)
     beside = glow & near & (strange > _STRANGE / 3)
     found = filters.apply_hysteresis_threshold(beside.astype(np.uint8) + wide, 0.5, 1.5)
-    gaps = morphology.disk(max(1, round(2 * _WIDE * size)))
-    found = _grown(np.asarray(morphology.closing(found, gaps)), max(1, size // 200))
-    return part.enlarged(found) & iris
+    found = ~_opened(~found, 2 * least) if found.any() else found
+    return part.enlarged(_grown(found, max(1, size // 200))) & iris
 
 
 def find_lashes(pixels: Colours, limbus: Ellipse, lids: Mask) -> Mask:
@@ -313,16 +313,17 @@ def find_lids(pixels: Colours, limbus: Ellipse, pupil: Ellipse) -> Mask:
         skin = (radius > 1.05) & (radius < _SEEN_AROUND) & (height > 0.7 * np.abs(across))
         if not skin.any():
             continue
-        score, unlike = -1.0 * iris, spatial.KDTree(seen[skin]).query(seen[iris])[0]
-        like = unlike < _LIKE_SKIN
-        score[iris] += like * np.minimum(strange[iris] / _UNLIKE_IRIS, 2)
+        score, some = -1.0 * iris, max(1, int(skin.sum()) // _MANY)
+        of_skin = spatial.KDTree(seen[skin][::some])
+        far, _ = of_skin.query(seen[iris], distance_upper_bound=_LIKE_SKIN)
+        score[iris] += np.isfinite(far) * np.minimum(strange[iris] / _UNLIKE_IRIS, 2)
         edges = itertools.product(*_LID_EDGES)
         above = [height + bend * across**2 + lean * across for bend, lean in edges]
         total, lid = max((_best_level(score, a) for a in above), key=lambda best: best[0])
         if total > max(_LEAST_LID * iris.sum(), _OF_A_LID * (lid & iris).sum()):
             found |= lid
     dark = (np.fmax(*off)[..., 0] < 0) & (strange > _UNLIKE_IRIS)
-    dark = morphology.opening(dark, morphology.disk(max(1, round(0.02 * size))))
+    dark = _opened(dark, max(1, round(0.02 * size)))
     beside = _grown(found, max(1, round(0.02 * size)))
     near = np.asarray(ndimage.distance_transform_edt(~found)) * 2 * _SEEN_AROUND < _REACH * size
     shadow = regions_that(lambda _, at: beside[at].any(), dark & iris & near)
@@ -410,8 +411,10 @@ class _Reduced:
         return (place + 0.5) * self.small_size[::-1] / self.size[::-1] - 0.5
 
     def reduced(self, picture: np.ndarray) -> np.ndarray:
-        part = picture[self.box].astype(np.float32)
-        return transform.resize_local_mean(part, self.small_size + part.shape[2:])
+        part, (rows, columns) = np.atleast_3d(picture[self.box]), self.small_size
+        box = Image.Resampling.BOX  # the mean of what a pixel covers
+        small = by_channel(part.astype(np.float32), lambda c: c.resize((columns, rows), box))
+        return small.reshape(rows, columns, *picture.shape[2:])
 
     def enlarged(self, mask: np.ndarray) -> np.ndarray:
         sizes = zip(self.size, self.small_size, strict=True)
@@ -421,7 +424,12 @@ class _Reduced:
 
 
 def _grown(mask: np.ndarray, radius: int) -> np.ndarray:
-    return np.asarray(morphology.dilation(mask, morphology.disk(radius)))
+    # Of nothing, the distance from it has no meaning.
+    return np.asarray(morphology.isotropic_dilation(mask, radius)) if mask.any() else mask
+
+
+def _opened(mask: np.ndarray, radius: int) -> np.ndarray:
+    return _grown(np.asarray(morphology.isotropic_erosion(mask, radius)), radius)
 
 
 def _long(region) -> bool:
