@@ -118,7 +118,11 @@ class ClonePicture(opt.Group, panel="Photograph"):
 class CloneModel(opt.Group, panel="Model"):
     ONLY_WITH: ClassVar[opt.OnlyWith] = {"deconvolution": ("beta", ())}
 
-    media: str = opt.choice("what light crosses before the iris", cloning.MEDIA, _DEFAULTS.media)
+    media: str = opt.choice(
+        "what light crosses before the iris; flat: nothing, the picture is painted or a texture",
+        cloning.MEDIA,
+        _DEFAULTS.media,
+    )
     iris_depth: float = opt.number(
         "depth of the iris behind the cornea, {}", Range(2.5, 8, "mm"), _DEFAULTS.iris_depth
     )

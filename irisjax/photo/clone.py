@@ -65,11 +65,12 @@ from irisjax.render.separable import Separable
 from irisjax.render.single_scattering import SingleScattering, TabulatedSingleScattering
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
+from irisjax.transport.defaults import shipped_table
 from irisjax.transport.ilit.exact import IlitExact
 
 STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "texels", "posterior")
 """Names of the stages in their order; `"pigments"` stands for `Lit` and `Fitted`."""
-MEDIA = ("cornea-aqueous", "f09", "f09-melanin")
+MEDIA = ("cornea-aqueous", "f09", "f09-melanin", "flat")
 METHODS = ("least-squares", "simplex")
 _SOLVER_ANGLES = 12  # of ILIT during the search: radiances within 5e-5 of those of a picture
 FIBRILS = 57.0  # radius during the search, nm; the strength of their scattering is a free factor
@@ -92,7 +93,8 @@ class CloneSettings(NamedTuple):
 
     Attributes:
         media: `"f09"` gives cornea and chamber one refractive index, 1.376 [F09 Section 4.1.1];
-            `"f09-melanin"` also gives the melanins F09's absorption.
+            `"f09-melanin"` also gives the melanins F09's absorption; `"flat"` is for a picture of
+            an iris with no cornea in front of it: painted, or a texture.
         iris_depth: Distance of the iris behind the corneal apex, mm.
         focal_px: Focal length in pixels, in place of the photograph's own.
         azimuth: Azimuth of the camera (radians), if it is known to which side the eye is tilted.
@@ -404,6 +406,13 @@ def clone_eye(
     check_known("media", settings.media, MEDIA)
     check_known("method", settings.method, METHODS)
     check_known("stage", last, STAGES)
+    light, index = settings.integrator, _eye_with(settings.media).aqueous_index
+    table = shipped_table(Iris().indices(index))
+    if isinstance(light, RadiativeIntegrator) and light.solver is None and table is None:
+        raise ValueError(
+            f"radiative transfer has no table for the refractive indices of media "
+            f"{settings.media}, which a fit needs: give --process ilit-2006 or other --media"
+        )
     made: dict[str, Callable[[Any], Outlined]] = {
         "outlines": lambda found: outline_eye(found, given),
         "pose": lambda found: pose_eye(found, settings, given),
@@ -434,9 +443,7 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
     pupil = part.moved(boundaries.pupil)
     clear, lids = part.clear(pupil)
     focal = None if focal is None else focal / part.reduction
-    f09 = {"cornea": Cornea.f09(), "aqueous_index": 1.376}
-    media = {} if settings.media == MEDIA[0] else f09
-    eye = Eye().replace(**media, iris_depth=settings.iris_depth)
+    eye = _eye_with(settings.media).replace(iris_depth=settings.iris_depth)
     known: dict[str, Any] = {"focal_px": focal, "azimuth": settings.azimuth}
     spread = boundaries.flattening_sd
     pose = find_pose(part.limbus, pupil, eye, **known, flattening_sd=spread)
@@ -723,6 +730,12 @@ def width_by_rendering(with_width: Callable[[float], Fitted]) -> float:
     bounds, options = (max(best - step, low), min(best + step, high)), {"xatol": _BLUR_TOLERANCE}
     found = optimize.minimize_scalar(difference, bounds=bounds, method="bounded", options=options)
     return float(np.exp(found.x if found.fun < difference(best) else best))
+
+
+def _eye_with(media: str) -> Eye:
+    if media.startswith("f09"):
+        return Eye().replace(cornea=Cornea.f09(), aqueous_index=1.376)
+    return Eye().replace(cornea=None) if media == "flat" else Eye()
 
 
 def _with_soft_edges(pose: Pose, outlines: Boundaries) -> Eye:

@@ -216,7 +216,7 @@ def find_reflections(pixels: Colours, limbus: Ellipse, pupil: Ellipse, iris: Mas
     size, ring = max(radius.shape), (radius * _RINGS).astype(int)
     least = max(1, round(_WIDE * size))
     seen = [masked_mean(c, counted, _FIBRES * size) for c in np.moveaxis(_encoded(small), -1, 0)]
-    encoded, usual = np.stack(seen, -1), np.zeros_like(small)
+    encoded, usual = np.maximum(np.stack(seen, -1), 0), np.zeros_like(small)
     for k in np.unique(ring[counted]):
         usual[ring == k] = np.median(encoded[counted & (ring == k)], 0)
     off = encoded - usual

@@ -180,6 +180,10 @@ WRONG = [
     (("grey.png", "--pupil", "9,9,nan,4,0"), "the semi-axes must be A >= B > 0"),
     (("grey.png", "--stop-after", "lunch"), "--stop-after: unknown 'lunch'; known: outlines, "),
     (("grey.png", "--media", "water"), "--media: unknown 'water'; known: cornea-aqueous, f09"),
+    (
+        ("grey.png", "--media", "f09", "--process", "depth-resolved"),
+        "radiative transfer has no table for the refractive indices of media f09",
+    ),
     (("grey.png", "--method", "luck"), "--method: unknown 'luck'; known: least-squares, simplex"),
     (("grey.png", "--process", "lb06"), "--process: unknown 'lb06'"),
     (

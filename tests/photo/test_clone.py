@@ -75,6 +75,16 @@ def test_a_pupil_fades_about_its_outline_as_wide_as_the_photograph_is_blurred(po
         assert middle == pytest.approx(outline * (1 + margin / 2), rel=1e-5)
 
 
+def test_a_flat_picture_is_not_unrefracted(first, posed):
+    """Its pupil is as large as it appears, and nothing is mirrored; a cornea magnifies by 1.13."""
+    found = pose_eye(outline_eye(first), CloneSettings(media="flat"))
+    limbus, pupil = (np.prod(e.semi_axes) for e in found.boundaries[:2])
+    radius = float(found.pose.eye.limbus_radius) * np.sqrt(pupil / limbus)
+    assert found.pose.pupil_radius == pytest.approx(radius, rel=0.01)
+    assert found.view.mirror is None
+    assert posed.pose.pupil_radius < 0.93 * radius
+
+
 def test_thickness_of_a_photographed_iris_comes_back(alone):
     """The paper's method is better than the generic iris, and the model's than the paper's."""
     truth, shaped = true_thickness("blue", alone.texture), shape_iris(alone, SETTINGS)
