@@ -375,8 +375,11 @@ def report(
                 "crossed polarisers would make it black; the pigments are those of an iris that "
                 "depolarises"
             )
-        if found.lighting.found == 0:
-            opt.tell("no highlight on the cornea shows a lamp: light from all round is assumed")
+        if found.lighting.found == 0 and found.pose.eye.cornea is not None:
+            opt.tell(
+                "no highlight on the cornea shows a lamp: light from all round is assumed; if the "
+                "picture shows no cornea, painted or a texture, give --media flat"
+            )
     if isinstance(found, cloning.Sampled) and pigments_withheld(found, doubts):
         print("the pigments are not printed, for the doubts above; clone.json has them")
     elif isinstance(found, cloning.Sampled):
