@@ -14,12 +14,20 @@ from irisjax import io
 from irisjax.cli import options as opt
 from irisjax.cli.compiled import kept_tables
 from irisjax.cli.scenes import EyeWithPupil, changed
-from irisjax.measure.colour import srgb_encode
+from irisjax.measure.colour import agx_encode, srgb_encode
 from irisjax.numerics.checks import Range
 from irisjax.render.illumination import Illumination, reflects_inside
 from irisjax.render.integrators import INTEGRATORS, integrator_name
 from irisjax.render.lights import Lights
-from irisjax.render.picture import draw_bands, illuminate, prepared_scene, respond, shade, texture
+from irisjax.render.picture import (
+    draw_bands,
+    exposure_of_white,
+    illuminate,
+    prepared_scene,
+    respond,
+    shade,
+    texture,
+)
 from irisjax.render.project import look
 from irisjax.render.scene import Scene
 
@@ -49,8 +57,16 @@ class PictureOptions(opt.Group, panel="Picture"):
     ONLY_WITH: ClassVar[opt.OnlyWith] = {"frames": ("animate", ())}
 
     size: str | None = opt.option("pixels, at most 16384 along a side", metavar="WIDTHxHEIGHT")
-    exposure: float | None = opt.number(
-        "factor on all radiances; 1 shows a white sheet white", Range(0, math.inf, above=True)
+    exposure: float | str | None = opt.option(
+        "factor on all radiances, 1 shows a white sheet white; or white, which exposes for the "
+        "white of the eye",
+        parse=opt.number_or("white", Range(0, math.inf, above=True)),
+        metavar="number",
+    )
+    tone: str = opt.choice(
+        "tone curve of a PNG or a movie: none is sRGB, agx keeps highlights from being clipped",
+        ("none", "agx"),
+        "none",
     )
     samples: int = opt.whole("along each side of a pixel, {}", Range(1, 8), 1)
     integrator: str | None = opt.option(
@@ -73,6 +89,8 @@ class PictureOptions(opt.Group, panel="Picture"):
         super().__post_init__()
         if self.animate is not None and self.spectral is not None:
             raise ValueError("--animate: not with --spectral")
+        if self.spectral is not None and self.exposure == "white":
+            raise ValueError("--exposure white: not with --spectral")
         if self.bits not in (8, 16):
             raise ValueError(f"--bits {self.bits} must be 8 or 16")
 
@@ -103,6 +121,8 @@ def render_command(view: ViewOptions, picture: PictureOptions, files: PictureFil
         io.check_movie(output)
     if "bits" in picture.typed and output.suffix == ".exr":
         raise ValueError("--bits is for PNG; an EXR holds floating-point numbers")
+    if picture.tone != "none" and output.suffix == ".exr":
+        raise ValueError("--tone is for PNG and movies; an EXR is linear")
     io.check_writable(output)
     first = io.first_file(output)
     if first.exists() and not files.overwrite and not io.is_device(first):
@@ -120,8 +140,10 @@ def render_command(view: ViewOptions, picture: PictureOptions, files: PictureFil
             "--spectral needs plain lamps: a light's colour has no spectrum; give --light"
         )
     exposure = file.exposure if picture.exposure is None else picture.exposure
+    if isinstance(exposure, str):
+        exposure = exposure_of_white(scene)
     if picture.animate is not None:
-        _animated(scene, picture.animate, picture.frames or 24, exposure, output)
+        _animated(scene, picture, exposure, output)
     else:
         _still(scene, picture, exposure, output)
 
@@ -160,16 +182,17 @@ def _still(scene: Scene, picture: PictureOptions, exposure: float, output: Path)
         if output.suffix == ".exr":
             io.write_exr(output, pixels, names, {"comments": remark}, rows=height)
         else:
-            encoded = map(_encoded, pixels)
+            encoded = map(_ENCODED[picture.tone], pixels)
             clipped = io.write_png(output, encoded, bits=picture.bits, remark=remark, rows=height)
             _tell_clipped(output, clipped, math.prod(scene.camera.size))
 
 
-def _animated(scene: Scene, change: str, count: int, exposure: float, output: Path) -> None:
+def _animated(scene: Scene, options: PictureOptions, exposure: float, output: Path) -> None:
+    change, count = options.animate or "", options.frames or 24
     remark = f"simulated by irisjax; {change}, {count} frames"
     pictures = frames(scene, change, count, kept_tables)
     shown = tqdm(pictures, total=count, unit="frame", disable=None)
-    encoded = map(_encoded, _exposed(shown, exposure, output))
+    encoded = map(_ENCODED[options.tone], _exposed(shown, exposure, output))
     if _is_sheet(output):
         clipped = io.write_png(output, sheet(list(encoded)), remark=f"{remark} row by row")
     else:
@@ -246,8 +269,10 @@ def _tell_clipped(output: Path, clipped: int, count: int) -> None:
         opt.tell(f"{output}: {clipped} pixels ({share}) out of sRGB's range are clipped")
 
 
-def _encoded(picture: np.ndarray) -> np.ndarray:
-    return np.asarray(srgb_encode(picture))
+_ENCODED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "none": lambda picture: np.asarray(srgb_encode(picture)),
+    "agx": lambda picture: np.asarray(agx_encode(picture)),
+}
 
 
 def _is_sheet(output: Path) -> bool:

@@ -153,6 +153,34 @@ def srgb_decode(encoded: Numbers) -> Array:
     return jnp.where(foot, encoded / 12.92, power)
 
 
+@eqx.filter_jit
+def agx_encode(linear: Float[Array | np.ndarray, "*s 3"]) -> Float[Array, "*s 3"]:
+    """Display values 0 to 1 of linear sRGB by the tone curve AgX [Sobotka 2022].
+
+    Channels are mixed a little, so that bright colours fade to white, and run from 10 stops below
+    middle grey (0.18) to 6.5 above along a curve through 0.5 with a slope of 2, whose toe and
+    shoulder have the powers 3 and 3.25. A white sheet (1) is shown at 0.79. The mixing is that of
+    github.com/bWFuanVzYWth/AgX (MIT licence), the curve follows from the numbers named here.
+    """
+    linear = jnp.asarray(linear)
+    below, above = 10.0, 6.5
+    mixing = 0.8 * jnp.eye(3) + 0.2 * jnp.asarray([0.21200536, 0.39218251, 0.39581214])
+    mixing = mixing.astype(linear.dtype)
+    least = 0.18 * 2.0**-below
+    stops = jnp.log2(jnp.maximum(linear @ mixing.T, least) / least)
+    pivot = below / (below + above)
+    away = jnp.clip(stops / (below + above), 0, 1) - pivot
+
+    def bent(away, most, power):
+        """A slope of 2 at 0, and 0.5 at `most`."""
+        scale = ((4 * most) ** power - 1) / most**power
+        return 2 * away / (1 + scale * away**power) ** (1 / power)
+
+    toe, shoulder = jnp.maximum(-away, 0.0), jnp.maximum(away, 0.0)
+    shown = 0.5 + bent(shoulder, 1 - pivot, 3.25) - bent(toe, pivot, 3.0)
+    return jnp.clip(shown @ jnp.linalg.inv(mixing).T, 0, 1)
+
+
 def lab_of(ratio: Numbers) -> Array:
     """CIE 1976 L*a*b* of XYZ relative to white [CIE 15:2018, Eq. 8.3 ff.]."""
     delta = 6 / 29

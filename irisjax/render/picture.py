@@ -7,6 +7,7 @@ many pictures of one scene keeps the values that a change leaves alone: another 
 `view`, `texels` and `light`, a moved lamp only `light`, other pigments only `response`.
 """
 
+import dataclasses
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
@@ -19,17 +20,19 @@ from irisjax.anatomy.eye import Cornea, Sclera
 from irisjax.anatomy.lids import Lids
 from irisjax.render import outside
 from irisjax.render.bands import Bands, colour_bands, spectral_bands
+from irisjax.render.environment import LUMINANCE
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractResponse, checked_response
 from irisjax.render.lids import LASH, in_front, lid_colour, lid_colours, lids_lit
 from irisjax.render.outside import ColourTable, colour_table
-from irisjax.render.project import View, look, project
+from irisjax.render.project import View, look, onto_picture, project
 from irisjax.render.scene import Scene
 from irisjax.render.shading import Facing, Front, ranges_of, textures_at
 from irisjax.tissue.maps import Scales
 
 # Bytes for the pixels of a band; the programs and tables beside them take three times that.
 _MEMORY = 1 << 28
+_WHITE, _GLANCE = 0.6, 160  # luminance of the white, and pixels across to find it
 _LEAST = 0.01  # of the brightest channel
 _PIXEL, _CHANNEL = 1200, 24  # bytes for each of a band's, measured
 _Spectrum = tuple[str, str, tuple[float, ...] | None]
@@ -175,6 +178,27 @@ def surroundings(view: View, texels: Texels, scene: Scene) -> Float[Array, "chan
         parts += [(view.mirror.index, scene.camera.images * images)]
     dark = jnp.zeros((lamp.size, view.size[0] * view.size[1]), lamp.dtype)
     return _added(dark, parts)
+
+
+def exposure_of_white(scene: Scene) -> float:
+    """Compute the factor on radiances that shows the lit white of the eye at a luminance of 0.6, as
+    photographs do: the fifth of its pixels that is brightest begins there. Not to be traced.
+
+    Raises:
+        ValueError: The camera sees no white, or no light falls on it.
+    """
+    width, height = scene.camera.size
+    size = min(width, _GLANCE), max(round(height * min(1.0, _GLANCE / width)), 1)
+    view = look(scene.eye, dataclasses.replace(scene.camera, size=size))
+    if view.sclera is None:
+        raise ValueError("exposure by the white: the camera sees no white of the eye")
+    light = np.asarray(surroundings(view, texture(view, scene), scene), np.float64)
+    share = onto_picture(view.sclera, np.asarray(view.sclera.share), (size[1], size[0])).ravel()
+    luminance = np.asarray(LUMINANCE) @ light[:, share > 0.8 * share.max()]
+    shown = float(np.quantile(luminance, 0.8))
+    if not shown > 0:
+        raise ValueError("exposure by the white: no light falls on the white of the eye")
+    return _WHITE / shown
 
 
 def respond(scene: Scene, ranges: Scales | None = None) -> AbstractResponse:

@@ -10,7 +10,7 @@ import pytest
 import irisjax as ij
 from common import GRID, all_irides, quick_jit
 from irisjax.measure import colour
-from irisjax.measure.colour import illuminant_power, srgb_encode
+from irisjax.measure.colour import agx_encode, illuminant_power, srgb_encode
 
 IRIS = ij.Iris.of_level("moderate")
 FEW = ij.IlitExact(12)  # where the number of angles is not the point
@@ -253,3 +253,21 @@ def test_what_has_no_aperture():
     ):
         with pytest.raises(ValueError, match=message):
             call()
+
+
+def test_agx_is_the_published_curve():
+    """Against the constants of the MIT-licensed github.com/bWFuanVzYWth/AgX, on greys and colours."""
+    grey = 0.18 * 2.0 ** np.array([-12.0, -10.0, -5.0, -0.5, 0.0, 2.0, 6.4, 6.5, 9.0])
+    colours = np.concatenate([np.repeat(grey[:, None], 3, 1), [[1.0, 0.2, 0.0], [0.0, 0.1, 4.0]]])
+    into = [[0.84240107, 0.07843650, 0.07916243], [0.04240107, 0.87843650, 0.07916243]]
+    into = np.array([*into, [0.04240107, 0.07843650, 0.87916243]])
+    with np.errstate(divide="ignore"):
+        stops = np.log2(colours @ into.T)
+    x = np.clip((stops + 12.473931188332413) / 16.5, 0, 1)
+    low = x <= 0.6060606060606061
+    a, b = np.where(low, 59.507875, 69.86278913545539), np.where(low, 3.0, 3.25)
+    v = x - 0.6060606060606061
+    shown = 0.5 + 2 * v * (1 + a * np.abs(v) ** b) ** (-1 / b)
+    found = np.asarray(agx_encode(colours))
+    np.testing.assert_allclose(found, np.clip(shown @ np.linalg.inv(into).T, 0, 1), atol=2e-6)
+    assert found[4, 0] == pytest.approx(0.5) and (np.diff(found[:9, 0]) >= 0).all()
