@@ -74,7 +74,7 @@ def many(
     if results.posteriors != AMORTISED and results.flows is not None:
         raise ValueError("--flows means something only with --posteriors amortised")
     target = None if output is None else output / "fits.csv"
-    table = EyeTable(tuple(eyes), _FIRST, "warnings", "eye", target, {})
+    table = EyeTable(tuple(eyes), _FIRST, "eye", target)
     covariances: dict[str, list[EyeRow]] = {}
     if target is not None and target.exists() and results.resume:
         covariances = read_covariances(covariances_beside(target))

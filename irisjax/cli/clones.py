@@ -51,7 +51,7 @@ def clone_many(
     photographs = _photographs(source)
     folders = {name: results.output / folder for name, folder in _folders(photographs).items()}
     target = results.output / "clones.csv"
-    table = EyeTable(tuple(photographs), _FIRST, "doubts", "photograph", target, {})
+    table = EyeTable(tuple(photographs), _FIRST, "photograph", target)
 
     def done(row: EyeRow) -> bool:
         folder = folders.get(row["file"])

@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +28,8 @@ class EyeTable:
 
     Attributes:
         eyes: Names of all, in their order.
-        first: The first columns of every row, `status` among them; the very first has the name.
-        why: Name of the column with the reason why an eye is doubtful or failed.
+        first: The first columns of every row, `status` among them: first the name, last the reason
+            why an eye is doubtful or failed.
         unit: Word for an eye in messages.
         target: The file, or `None` to print the table.
         rows: Rows of the eyes that are done, by name.
@@ -38,10 +38,9 @@ class EyeTable:
 
     eyes: tuple[str, ...]
     first: tuple[str, ...]
-    why: str
     unit: str
     target: Path | None
-    rows: dict[str, EyeRow]
+    rows: dict[str, EyeRow] = field(default_factory=dict)
     beside: Beside = dict
     _due: float = 0.0
 
@@ -113,7 +112,7 @@ class EyeTable:
             if names:
                 some = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
                 of = f"{len(names)} of {len(self.eyes)} {self.unit}s"
-                tell(f"{of} {verb}: {some}; the column {self.why} says why")
+                tell(f"{of} {verb}: {some}; the column {self.first[-1]} says why")
         return 3 if any(row["status"] == FAILED for row in self.rows.values()) else 0
 
 

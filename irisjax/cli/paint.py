@@ -1,7 +1,6 @@
 """`irisjax paint`: a recipe of coats in, the painted eye and every coat out."""
 
 import itertools
-import json
 import os
 import posixpath
 from collections.abc import Iterable
@@ -23,6 +22,7 @@ from irisjax.cli.render import sheet
 from irisjax.cli.scenes import changed, environment_of
 from irisjax.export.mesh import FORMATS, painting_files
 from irisjax.io.recipes import Recipe, recipe_text
+from irisjax.io.sections import json_of
 from irisjax.io.targets import TISSUE_MAPS, TISSUE_SCENE, Target, read_target, tissue_files
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range
@@ -237,7 +237,7 @@ def _matched(
         pictures[posixpath.basename(name)] = np.repeat(more.scans[name][..., None], 3, 2)
     remark = "painted by irisjax to match a target"
     files = {name: png_of(folder / name, pixels, remark) for name, pixels in pictures.items()}
-    files["match.json"] = (json.dumps(summary, indent=1) + "\n").encode()
+    files["match.json"] = json_of(summary, 17)
     words = "as it was", "matched", f"with {len(more.recipes)} coats on top"
     said = "; ".join(
         f"{w} {d.mean:.1f} ({d.q95:.1f})" for w, d in zip(words, steps.values(), strict=True)

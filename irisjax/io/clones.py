@@ -1,6 +1,5 @@
 """Files of a clone: numbers, textures, maps and a scene."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations
@@ -10,7 +9,7 @@ import numpy as np
 from irisjax.io.images import encode_exr, encode_png
 from irisjax.io.maps import encode_maps
 from irisjax.io.scenes import scene_text
-from irisjax.io.sections import plain
+from irisjax.io.sections import json_of
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.clone import (
     DOUBTS,
@@ -59,8 +58,7 @@ def files_of(
     if pictures is not None:
         summary["picture_rms"] = pictures.rms
         summary["picture_rms_of_pigments"] = pictures.rms_of_pigments
-    text = json.dumps(plain(summary, 8), indent=1, allow_nan=False) + "\n"
-    found = {"clone.json": text.encode(), OVERLAY: overlay_of(clone)}
+    found = {"clone.json": json_of(summary, 8), OVERLAY: overlay_of(clone)}
     if isinstance(clone, Flat):
         encoded = np.clip(np.asarray(srgb_encode(clone.texture.pixels)), 0, 1)
         sides = f"; x, y from -{HALF_WIDTH:g} to {HALF_WIDTH:g} mm, row 0 at the top"

@@ -1,7 +1,6 @@
 """Files of an eye's colours, and a sheet of many eyes."""
 
 import io
-import json
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -11,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from irisjax.io.clones import OVERLAY, overlay_of, summary_of
 from irisjax.io.images import encode_png
-from irisjax.io.sections import plain
+from irisjax.io.sections import json_of
 from irisjax.photo.clone import Doubt, Outlined
 from irisjax.photo.eye_colour import RINGS, EyeColour, RegionColour
 from irisjax.photo.masks import Part
@@ -43,8 +42,7 @@ def colour_files(
         picture = draw_colours(colours, part, part.moved(found.boundaries.pupil))
         remark = f"colours by irisjax of {found.photograph.name}, L*a*b* under D65"
         files[COLOUR_FILES[1]] = encode_png(COLOUR_FILES[1], picture, remark=remark)[0]
-    text = json.dumps(plain(summary, 6), indent=1, allow_nan=False) + "\n"
-    return {COLOUR_FILES[0]: text.encode(), **files}
+    return {COLOUR_FILES[0]: json_of(summary, 6), **files}
 
 
 def encode_contact_sheet(pictures: Mapping[str, Path | None]) -> bytes:

@@ -1,5 +1,6 @@
-"""TOML files of sections, whose entries are checked; messages name the line."""
+"""TOML files of sections, whose entries are checked, and JSON of results."""
 
+import json
 import math
 import re
 import tomllib
@@ -138,6 +139,11 @@ def plain(value: Any, digits: int | None = None) -> Any:
             return None
         return value if digits is None else float(f"{value:.{digits}g}")
     return value
+
+
+def json_of(value: Any, digits: int) -> bytes:
+    """The bytes of a JSON file with numbers of so many digits."""
+    return f"{json.dumps(plain(value, digits), indent=1, allow_nan=False)}\n".encode()
 
 
 def _line_of(text: str, section: str, key: str | None, nth: int) -> int | None:

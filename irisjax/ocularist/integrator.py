@@ -72,7 +72,7 @@ class Painted(AbstractIntegrator):
         """Compute everything that does not depend on the coats."""
         extent = _Extent(self.painting.profile, eye.iris_radius, eye.pupil_margin)
         flux = fluxes_of(lights, eye, tables)
-        seen, state = _ground(pixels, extent, eye, flux)
+        seen, state = _geometry(pixels, extent, eye, flux)
         return PaintBase(seen, state, *_above_all(flux, extent.reach, SHADOW), lights.tint, extent)
 
     def paint(
@@ -111,7 +111,7 @@ class Painted(AbstractIntegrator):
         return PaintedResponse(white=bands.white)
 
 
-class _Ground(NamedTuple):
+class _Geometry(NamedTuple):
     """The geometry of pixels, which all coats share; displacements in mm per mm of their height."""
 
     place: Float[Array, "2 pixels"]  # where a pixel sees the base, mm
@@ -139,7 +139,7 @@ class _Extent(NamedTuple):
 class PaintBase(NamedTuple):
     """Geometry and light that all coats share, computed once for a scene."""
 
-    seen: _Ground
+    seen: _Geometry
     state: _State
     rays: Float[Array, "lights 3 rows columns"]  # directions of the lights at the base's texels
     light: Float[Array, "lights rows columns channels"]  # above all coats, relative to the lamps'
@@ -200,7 +200,9 @@ def _groups(painting: Painting) -> list[list[Coat]]:
 
 
 @pixelwise
-def _ground(pixels: IrisPixels, extent: _Extent, eye: Eye, flux: Array) -> tuple[_Ground, _State]:
+def _geometry(
+    pixels: IrisPixels, extent: _Extent, eye: Eye, flux: Array
+) -> tuple[_Geometry, _State]:
     """Compute where pixels see the base, extended to the axis and past the root, and the first
     state.
     """
@@ -221,11 +223,11 @@ def _ground(pixels: IrisPixels, extent: _Extent, eye: Eye, flux: Array) -> tuple
     n = parts(whole.normal(point, hit.cone))
     light = tuple(jnp.moveaxis(flux_at(flux, extent.reach, parts(point)), 1, 0))
     irradiance = jnp.maximum(-sum(f * c for f, c in zip(light, n, strict=True)), 0.0)
-    view = _aside(pixels.direction, n)
-    falls = view - jax.vmap(lambda direction: _aside(direction, n))(_directed(light))
+    view = _displacement(pixels.direction, n)
+    falls = view - jax.vmap(lambda direction: _displacement(direction, n))(_directed(light))
     place, one = point[..., :2].T, jnp.ones_like(share)
     above = jnp.zeros((3, one.size), one.dtype), one
-    return _Ground(place, view, falls, irradiance * share / jnp.pi), above
+    return _Geometry(place, view, falls, irradiance * share / jnp.pi), above
 
 
 @eqx.filter_jit
@@ -239,7 +241,7 @@ def _above_all(flux: Array, reach: Scalar, size: int) -> tuple[Array, Array]:
 
 @pixelwise
 def _opacity_at(
-    seen: _Ground, opacity: Array, height: Scalar, extent: _Extent
+    seen: _Geometry, opacity: Array, height: Scalar, extent: _Extent
 ) -> Float[Array, " pixels"]:
     """Opacity of a coat at the pixels."""
     return extent.covered(opacity, *(seen.place + height * seen.view))
@@ -257,7 +259,7 @@ def _crossed(
     normal = parts(profile.normal(jnp.stack([x, y, profile.height(r)], -1), cone))
 
     def one(direction):
-        u, v = _aside(tuple(direction), normal)
+        u, v = _displacement(tuple(direction), normal)
         return extent.covered(opacity, x + height * u, y + height * v)
 
     return jax.lax.map(one, rays)
@@ -265,7 +267,7 @@ def _crossed(
 
 @pixelwise
 def _paint_over(
-    known: tuple[_State, tuple[Array, ...], _Ground],
+    known: tuple[_State, tuple[Array, ...], _Geometry],
     light: Array,
     colours: tuple[Array, ...],
     height: Scalar,
@@ -306,7 +308,7 @@ def _light_under(
     return light
 
 
-def _aside(direction: Parts, normal: Parts) -> Array:
+def _displacement(direction: Parts, normal: Parts) -> Array:
     """Displacement (2, …) along lines through the base, to the plane at unit height before it."""
     along = sum(d * n for d, n in zip(direction, normal, strict=True))
     path = -normal[2] / along

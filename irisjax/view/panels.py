@@ -110,7 +110,7 @@ class TissuePanel:
         self.colour: viser.GuiHtmlHandle = gui.add_html("")
         return gui.add_html("")
 
-    def tell(self, first: bool) -> None:
+    def show_result(self, first: bool) -> None:
         """Show spectrum and colour after a picture; the `first` spectrum stays in the plot."""
         values, colour = self.studio.spectrum()
         before = values if first else self.plot.data[1]
@@ -158,7 +158,7 @@ class CoatsPanel:
         self._sort()
         return status
 
-    def tell(self, first: bool) -> None:
+    def show_result(self, first: bool) -> None:
         """Nothing is shown after a picture."""
 
     def remarks(self) -> tuple[str, ...]:

@@ -213,7 +213,7 @@ class _Page:
                 self._beside()
             if "preset" in changes or changes.get("photograph"):
                 self._turn(clients)
-        self.panel.tell(self.first)
+        self.panel.show_result(self.first)
         for name, widget in self.widgets.items():
             wanted = shown(name, getattr(self.studio.settings, name))
             if "preset" in changes and widget.value != wanted:
