@@ -19,8 +19,9 @@ from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_series
 class Tucker(eqx.Module):
     """A table of functions of several coordinates in [−1, 1].
 
-    - `factors`: along each axis the polynomials' weights, shape (polynomials, rank).
-    - `core`: shape (rank of each axis …, functions).
+    Attributes:
+        factors: Weights of the polynomials along each axis, shape (polynomials, rank).
+        core: Shape (rank of each axis …, functions).
     """
 
     factors: tuple[Float[Array, "_ _"], ...]

@@ -47,7 +47,9 @@ _State = tuple[Float[Array, "3 pixels"], Float[Array, " pixels"]]
 class Painted(AbstractIntegrator):
     """Integrator: coats of paint; a scene with it has no tissue.
 
-    - `painting`: its coats. `as_printed`: shadows by the paper's Eq. 2 as it is printed.
+    Attributes:
+        painting: The coats.
+        as_printed: Whether shadows follow the paper's Eq. 2 as it is printed.
     """
 
     painting: Painting
@@ -104,7 +106,8 @@ class Painted(AbstractIntegrator):
     ) -> "PaintedResponse":
         """Make the response of a picture in linear sRGB: colours of paints are not spectra.
 
-        **Raises:** `ValueError` for a picture of other channels.
+        Raises:
+            ValueError: For a picture of other channels.
         """
         if bands.channels != ("R", "G", "B"):
             raise ValueError("a painted iris has colours, not spectra: leave out the wavelengths")

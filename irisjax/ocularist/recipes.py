@@ -24,11 +24,14 @@ _SEEDS = 2**31
 class CoatRecipe(NamedTuple):
     """A coat of paint as a recipe has it, all plain data.
 
-    - `component` and `parameters`: what is painted, as `irisjax.ocularist.components.component`
-        takes it.
-    - `first`, `second`: names of paints; `share` of the second in their mixture, 0 to 1.
-    - `opacity`: factor on the component's map, 0 to 1. `seed`: `jax.random.key(seed)` draws it.
-    - `height`: above the base, mm.
+    Attributes:
+        component: Name of the component, for `irisjax.ocularist.components.component`.
+        parameters: Its parameters.
+        first, second: Names of two paints.
+        share: Share of the second paint in their mixture, 0 to 1.
+        opacity: Factor on the component's map, 0 to 1.
+        seed: Seed of the key that draws the map.
+        height: Height above the base, mm.
     """
 
     component: str
@@ -45,8 +48,10 @@ def coats(kind: str, colour: str, *, seed: int) -> tuple[CoatRecipe, ...]:
     """Default coats of a type and colour of eye, the bottom one, the opaque base, first.
 
     12 coats for a brown eye and 50 for a blue one, as in the paper's figure, and 30 for a green
-    one. Equal seeds give equal coats. **Raises:** `ValueError` for an unknown type or colour and
-    for a seed that is negative or not whole.
+    one. Equal seeds give equal coats.
+
+    Raises:
+        ValueError: For an unknown type or colour, or a seed that is negative or not whole.
     """
     check_known("type of eye", kind, EYE_TYPES)
     check_known("colour of eye", colour, EYE_COLOURS)

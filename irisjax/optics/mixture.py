@@ -17,10 +17,9 @@ class PhaseMixture(eqx.Module):
     p_HG = (1 − g²)/(1 + g² − 2g cos Θ)^{3/2} with the mean cosine g, whose Legendre moments are
     g^l.  [Henyey & Greenstein 1941, Eq. 2]
 
-    **Fields:**
-
-    - `rayleigh`: share s of the scattering that follows Rayleigh's law.
-    - `anisotropy`: g of the rest.
+    Attributes:
+        rayleigh: Share s of the scattering that follows Rayleigh's law.
+        anisotropy: g of the rest.
     """
 
     rayleigh: Spectrum

@@ -24,8 +24,9 @@ class Redistribution(eqx.Module):
     densities over the cosine, f summed over the two senses of travel, S for one sense. What is
     written here neither adds nor takes energy; the isotropic part carries it all.
 
-    - `collect`: shape (rank, n), with the rule's weights; `None` for the identity (rank n).
-    - `scatter`: shape (rank, n).
+    Attributes:
+        collect: Shape (rank, n), with the rule's weights; `None` for the identity (rank n).
+        scatter: Shape (rank, n).
     """
 
     collect: Float[Array, "rank n"] | None

@@ -59,11 +59,12 @@ class Polarisation(eqx.Module):
     azimuth round it), less that across it; V is positive for light whose field turns clockwise as
     its receiver sees it.
 
-    - `reflected`: of the light that `Solution.reflectance` counts, shape (wavelengths, 4, 4), as a
-        lens collects it: Q and U are those in its plane, along the plane of incidence. Its first
-        row times light's Stokes vector is how much of that light comes back.
-    - `mirrored`: the same of light mirrored by the first surface.
-    - `brdf`: 1/sr, at the exits asked for, shape (wavelengths, exits, 4, 4), or `None`.
+    Attributes:
+        reflected: Matrix of the light that `Solution.reflectance` counts, as a lens collects it,
+            shape (wavelengths, 4, 4): Q and U are those in the lens's plane, along the plane of
+            incidence. The first row times light's Stokes vector is the share that comes back.
+        mirrored: Matrix of the light that the first surface reflects, likewise.
+        brdf: Matrices at the requested exits, 1/sr, shape (wavelengths, exits, 4, 4), or `None`.
     """
 
     reflected: Float[Array, "wavelengths 4 4"]
@@ -74,18 +75,23 @@ class Polarisation(eqx.Module):
 class Solution(eqx.Module):
     """Fate of the light that falls on the iris from the aqueous humour.
 
-    Shares of the incident power, one value a wavelength: `reflectance` (what entered and came
-    back), `mirrored` (at the first surface), `absorbed`, `transmitted` (what leaves the pigment
-    epithelium behind; `None` where that is black); they sum to one.
+    `reflectance`, `mirrored`, `absorbed` and `transmitted` are shares of the incident power, one
+    value a wavelength; they sum to one.
 
-    - `status`: a `RESULTS` item.
-    - `standard_error`: of `reflectance` where sampled, `None` where integrated; `total_error`:
-        of `reflectance` plus `mirrored`; `transmitted_error`.
-    - `brdf`: bidirectional reflectance distribution function (1/sr) without the mirrored part at
-        the requested exit directions, shape (wavelengths, exits), or `None`; `brdf_error` its
-        standard error.
-    - `polarisation`: Mueller matrices, of a polarised process where exits were asked for; the rest
-        is then that of unpolarised light.
+    Attributes:
+        reflectance: Share that entered the iris and came back.
+        mirrored: Share reflected by the first surface.
+        absorbed: Shares absorbed in the layers.
+        status: A `RESULTS` item.
+        standard_error: Standard error of `reflectance` if it is sampled, otherwise `None`.
+        total_error: Standard error of `reflectance` plus `mirrored`, likewise.
+        brdf: Bidirectional reflectance distribution function (1/sr) at the requested exits, without
+            the mirrored part, shape (wavelengths, exits), or `None`.
+        brdf_error: Its standard error, likewise.
+        polarisation: Mueller matrices, if a polarised process was asked for them; all other values
+            are those of unpolarised light.
+        transmitted: Share that leaves the pigment epithelium behind; `None` if that is black.
+        transmitted_error: Its standard error, likewise.
     """
 
     reflectance: Spectrum

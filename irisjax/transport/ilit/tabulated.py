@@ -41,7 +41,8 @@ class IlitTabulated(AbstractSolver):
     with other indices gives the status `outside_table`. Gradients flow to depths and pigments, not
     to indices.
 
-    - `error`: largest absolute error of a layer function found at build time, off the nodes.
+    Attributes:
+        error: Largest absolute error of a layer function found at build time, off the nodes.
     """
 
     abl: Float[Array, "intervals powers 4"]
@@ -60,11 +61,17 @@ class IlitTabulated(AbstractSolver):
         n_intervals: int = 256,
         n_albedos: int = 7,
     ) -> "IlitTabulated":
-        """Tabulate for some refractive indices (default: LB06's; `iris.indices()` has an iris's)
-        and check the tables.
+        """Compute the tables and check them at other points.
 
-        **Raises:** `ValueError` if the process is depth-resolved, or if the error found exceeds
-        `tolerance` (in float32 the tolerance is at least 1e-6).
+        Args:
+            indices: Refractive indices, such as `iris.indices()`; LB06's by default.
+            process: The process, an `Ilit`.
+            tolerance: Largest absolute error of a layer function; at least 1e-6 in float32.
+            n_intervals: Intervals in optical depth.
+            n_albedos: Chebyshev nodes in albedo.
+
+        Raises:
+            ValueError: If the process is depth-resolved, or the error exceeds `tolerance`.
         """
         if not isinstance(process, Ilit):
             raise ValueError(f"IlitTabulated treats Ilit processes, not {type(process).__name__}")

@@ -48,8 +48,9 @@ class RadiativeTabulated(AbstractSolver):
     gives the status `outside_table`. Gradients flow to depths, pigments and incidence, not to
     indices.
 
-    - `error`: largest relative error of the reflectance, or to 1e-4 of the light, found off the
-        nodes when the table was made.
+    Attributes:
+        error: Largest relative error of the reflectance, or to 1e-4 of the light, found off the
+            nodes when the table was made.
     """
 
     process: RadiativeTransfer = eqx.field(default=DEPTH_RESOLVED, init=False)

@@ -38,10 +38,11 @@ class PolarisedOrdinates(NamedTuple):
 class Met(NamedTuple):
     """The slab and the ABL for light along directions.
 
-    - `linear`: the slab's depth polynomials for I_l and I_r, one after the other.
-    - `real`, `imaginary`: the same for W, with the real and the imaginary parts of its images.
-    - `upper`: the ABL for I_l and I_r, one after the other.
-    - `turned`: what of W passes the ABL, complex.
+    Attributes:
+        linear: Depth polynomials of the slab for I_l and I_r, one after the other.
+        real, imaginary: Depth polynomials for W, with the real and imaginary parts of its images.
+        upper: The ABL for I_l and I_r, one after the other.
+        turned: Share of W that passes the ABL, complex.
     """
 
     linear: Bounded

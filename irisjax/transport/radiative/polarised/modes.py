@@ -20,15 +20,18 @@ _ROOT_2 = math.sqrt(2)
 class PolarisedMode(NamedTuple):
     """One azimuthal order: sources ω Σ_k strength_k f_k(μ) ∫ f_k·(I_l, I_r, U/√2, V/√2) dμ'.
 
-    The functions are those of light on its way down; light on its way up has `parity` times them,
-    one sign each for I_l, I_r and W.
+    The functions are those of light on its way down. If U and V of the incident light are 0, order
+    m has I ∝ cos mφ and U, V ∝ sin mφ; if I_l and I_r are 0, I ∝ sin mφ and U, V ∝ −cos mφ. The
+    system is the same.
 
-    - `linear`: of I_l and I_r, from cosines (angles,) to (rank, 2, angles), or `None`; where there
-        are more strengths than `rank`, they belong to terms of W alone.
-    - `turning`: of U or V, (angles,), or `None`; `u`, `v` say in which term each stands.
-
-    With light whose U and V are nought the order m has I ∝ cos mφ and U, V ∝ sin mφ; with light
-    whose I_l and I_r are nought I ∝ sin mφ and U, V ∝ −cos mφ. The system is the same.
+    Attributes:
+        order: Azimuthal order m.
+        strength: Strength of each term.
+        parity: Signs of the functions for light on its way up: of I_l, of I_r and of W.
+        linear: Functions of I_l and I_r, from cosines (angles,) to (rank, 2, angles), or `None`.
+            Terms beyond `rank` are of W alone.
+        turning: Function of U or V, (angles,), or `None`.
+        u, v: Terms of U and of V.
     """
 
     order: int
