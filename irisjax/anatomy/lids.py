@@ -69,8 +69,8 @@ class Lids(eqx.Module):
 
     upper: Scalar = float_field(4.0)
     lower: Scalar = float_field(5.1)
-    melanin: Scalar = float_field(0.01)
-    blood: Scalar = float_field(0.02)
+    melanin: Scalar = float_field(0.015)
+    blood: Scalar = float_field(0.013)
     skin: Float[Array, "3 texels texels"] | None = None
     lashes: Float[Array, "lashes points 4"] | None = None
     fence: Float[Array, "side side"] | None = None

@@ -40,7 +40,7 @@ def lids(eye: Eye, *, texels: int = 1024, key: PRNGKey, **fields: Any) -> Lids:
 
 def _lashes(rng, lids: Lids, centre) -> np.ndarray:
     """Two rows of lashes of the upper lid and one of the lower: points and radii along each."""
-    rows = [(True, 70), (True, 70), (False, 60)]
+    rows = [(True, 95), (True, 95), (False, 66)]
     count = sum(n for _, n in rows)
     upper = np.concatenate([np.full(n, of_upper) for of_upper, n in rows])
     s = np.concatenate([np.linspace(-0.97, 0.8 if up else 0.72, n) for up, n in rows])
@@ -61,7 +61,7 @@ def _lashes(rng, lids: Lids, centre) -> np.ndarray:
     place = jnp.asarray(np.stack([s, beyond]))
     x, y, z = np.asarray(_roots(lids, jnp.asarray(upper), place, centre))
     path = x[:, None] + along * side, y[:, None] + along * up, z[:, None] - along * out
-    radius = np.where(upper, 0.062, 0.042) * rng.uniform(0.75, 1.15, count)
+    radius = np.where(upper, 0.046, 0.034) * rng.uniform(0.75, 1.15, count)
     return np.stack([*path, np.outer(radius, np.sqrt(1.02 - t))], -1)
 
 

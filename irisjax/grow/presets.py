@@ -41,8 +41,8 @@ _IRIDES = {  # for ILIT, and for radiative transfer, found by experiments/eye_co
 }
 _FEATURES: dict[str, dict[str, Any]] = {
     "blue": {"patches": 0.8, "furrows": 2},
-    "grey": {"patches": 0.5, "crypts": 22, "collarette": 1.4},
-    "green": {"amber": 1.5, "heterochromia": 2.0, "patches": 0.6, "crypts": 18},
+    "grey": {"fibres": 0.6, "patches": 0.8, "crypts": 22, "collarette": 1.4},
+    "green": {"fibres": 0.6, "amber": 1.5, "heterochromia": 2.0, "patches": 0.8, "crypts": 18},
     "hazel": {"heterochromia": 2.5, "patches": 0.6, "abl": 0.5, "freckles": 4, "crypts": 10},
     "amber": {"heterochromia": 0.5, "patches": 0.5, "abl": 0.4, "crypts": 8},
     "brown": {"abl": 1.0, "patches": 0.5, "crypts": 10, "furrows": 6},

@@ -86,7 +86,7 @@ def lid_colours(
     kinds = (
         (lids.melanin, 0.7 * lids.blood),
         (1.1 * lids.melanin, 3 * lids.blood),
-        (0 * lids.melanin, 2.5 * lids.blood),
+        (0 * lids.melanin, 2.0 * lids.blood),
     )
     return jnp.stack([skin_reflectance(wavelengths, *kind) for kind in kinds]) @ weights.T
 
@@ -133,7 +133,7 @@ def lid_pixels(index: Array, eye: Eye, camera: Camera) -> LidPixels:
     at = lids.edge(x, y)
     u, v, w = lids.normal(x, y, centre)
     wet = smoothstep((0.6 * EDGE_WIDTH - at.outside) / 0.5 + 0.5)
-    red = 0.25 + 0.4 * jnp.exp(-jnp.maximum(at.outside - 0.5, 0) / 2.5)
+    red = 0.2 + 0.35 * jnp.exp(-jnp.maximum(at.outside - 0.5, 0) / 2.5)
     red = red + 0.3 * jnp.exp(-jnp.abs(at.along - 1) * 6)
     if lids.skin is not None:
         row, column = ((c / FACE + 1) * (lids.skin.shape[1] / 2) - 0.5 for c in (y, x))
