@@ -22,7 +22,7 @@ from irisjax.io.fits import FittedEyes, read_fits
 _PRODUCT = ("melanin_load", "abl_fraction")  # abl_melanin
 _FEWEST = 5  # effective draws of an eye below which the draws do not reach the group
 _NORMAL = (
-    "likelihood of each eye: normal, the fit divided by its prior (fit --batch --posteriors gives "
+    "likelihood of each eye: normal, the fit divided by its prior (--posteriors emcee gives "
     "draws); where the shrinkage is above 0.5 means and spreads can be off by more than their "
     "intervals"
 )
