@@ -65,13 +65,14 @@ class Blood(NamedTuple):
 def bulk_reflectance(sclera: Sclera, wavelengths: ArrayLike) -> Spectrum:
     """Diffuse reflectance of the white without vessels, wavelengths in nm.
 
-    A slab of fibrous tissue, sclera and conjunctiva, 1.1 mm in all, before a choroid of 5 % blood.
-    It absorbs by its capillaries, 0.07 % of its volume, and by `sclera.yellowing` times the pigment
-    of a bloodless tissue. About 0.6, near the 0.5 that models of the fundus take
-    [Delori & Pflibsen 1989, Appl. Opt. 28, 1061]. Thicknesses and shares are set by eye.
+    A slab of fibrous tissue, sclera and conjunctiva, 1.1 mm in all, before a choroid of 5 % blood
+    and 0.6 % melanosomes. It absorbs by its capillaries, 0.07 % of its volume, and by
+    `sclera.yellowing` times the pigment of a bloodless tissue. About 0.6, near the 0.5 that models
+    of the fundus take [Delori & Pflibsen 1989, Appl. Opt. 28, 1061]. Thicknesses and shares are set
+    by eye.
     """
     scattering, blood = fibrous_scattering(wavelengths), absorption(sclera, wavelengths)
-    choroid = 0.05 * blood + 0.002 * melanosome_absorption(wavelengths)
+    choroid = 0.05 * blood + 0.006 * melanosome_absorption(wavelengths)
     behind = diffuse_reflectance(choroid, scattering, inside=0.0)
     own = sclera.yellowing * bloodless_absorption(wavelengths) + 7e-4 * blood
     return slab_reflectance(own, scattering, 1.1, behind)
