@@ -1,5 +1,6 @@
 """Roles of a table's columns by their headers, and the choice of those that are a spectrum."""
 
+import functools
 import re
 from typing import NamedTuple
 
@@ -278,6 +279,7 @@ def _roles_of(table: Columns) -> dict[int, str]:
     return {j: "" if r == _OD and "OS" in table.names else r for j, r in roles.items()}
 
 
+@functools.lru_cache(maxsize=1 << 16)  # in a table of many eyes each asks for the roles of all
 def role_of(header: str) -> str:
     """The role that a column's header gives it, or an empty text."""
     return next((role for role, form in _FORMS.items() if re.search(form, header, re.I)), "")
