@@ -110,7 +110,7 @@ def train_flow(
 
     Args:
         problem: A problem of one observation, whose values and standard deviations are not used.
-        simulated: Number of spectra that are simulated from the priors.
+        simulated: Number of spectra that are simulated from the priors, at least 2,048.
         epochs: How often training goes through them.
         each: How calls are mapped.
         key: Source of the spectra and of the flow's start.

@@ -41,7 +41,7 @@ def trained(quick, monkeypatch):
 
     def train(*arguments, **how):
         count.append(how)
-        return train_flow(*arguments, **how, simulated=1024, epochs=1)
+        return train_flow(*arguments, **how, simulated=2048, epochs=2)
 
     monkeypatch.setattr(flows, "train_flow", train)
     monkeypatch.setattr("irisjax.infer.pixels._DRAWS", 256)
