@@ -260,7 +260,7 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
             tilt_interval=(0.0, 0.3),
             stretched=0.8,
             pupil_radius=2.0,
-            eye=SimpleNamespace(limbus_radius=5.5),
+            eye=ij.Eye(),
         ),
         lighting=SimpleNamespace(found=0),
         windows=windows,

@@ -11,6 +11,8 @@ from jax import export
 import irisjax as ij
 from irisjax.transport.defaults import table_for
 
+pytestmark = pytest.mark.peer
+
 SOLVERS = {
     "ILIT, exact": lambda: ij.IlitExact(4),
     "ILIT, tabulated": lambda: table_for(ij.Iris().indices(), ij.ILIT_2006),

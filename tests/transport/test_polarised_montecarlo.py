@@ -11,6 +11,8 @@ import common
 import irisjax as ij
 from common import any_order, layers
 
+pytestmark = pytest.mark.peer
+
 EXITS = np.array([1.0, 0.8, 0.6])
 AZIMUTH = np.array([0.0, 0.3, 2.0])
 APERTURE = 0.08
