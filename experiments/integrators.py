@@ -129,8 +129,8 @@ def _models(iris, thickness, mu, exits):
     def marched(scale):
         maps = {"stroma_depth": jnp.full((2, 2), scale * iris.stroma_thickness)}
         light = jnp.broadcast_to(towards[:, None, None], (1, 3, 2, 2))
-        data = SceneData(maps, light, None, None, Eye(cornea=None, sclera=None))
-        return response.shade(pixels, None, data) / mu
+        data = SceneData(maps, light, None, Eye(cornea=None, sclera=None))
+        return response.shade(pixels, None, (data, None)) / mu
 
     ilit, _ = solved(ij.IlitExact(24))
     deep, status = solved(ij.RadiativeExact(24, n_panels=2))

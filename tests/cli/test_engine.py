@@ -198,7 +198,6 @@ def test_equal_bytes_whatever_the_workers_and_the_faults(tmp_path):
         if len(psutil.Process(stopped.pid).children(recursive=True)) >= 3:
             break
         time.sleep(0.1)
-    time.sleep(0.5)
     stopped.send_signal(signal.SIGINT)
     assert stopped.communicate(timeout=20)[1] == "irisjax: interrupted\n"
     assert stopped.returncode == 130
