@@ -90,6 +90,6 @@ def to_arviz(problem: Problem, chains: Chains, *, key: PRNGKey) -> Any:
     for name, held in arrays.items():
         along = {axis for axes, _ in held.values() for axis in axes} & set(coordinates)
         groups[name] = xarray.Dataset(dict(held), {axis: coordinates[axis] for axis in along})
-    if hasattr(arviz, "InferenceData"):
+    if arviz.__version__.startswith("0."):
         return arviz.InferenceData(**groups)
     return xarray.DataTree.from_dict(groups)
