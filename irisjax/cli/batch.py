@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -116,16 +116,16 @@ def many(
         if output is not None and results.posteriors:
             fitted = [n for n in eyes if n in left and table.rows[n]["status"] != FAILED]
             sampled = {
-                n: ({n: eyes[n]}, seen, options_of({n: eyes[n]}), output / n, sampler, resume)
+                n: (_Eye(n, eyes[n], seen, options_of({n: eyes[n]}), output / n, sampler, resume),)
                 for n in fitted
             }
-            by = _sampled
+            by: Any = _sampled
             if results.posteriors == AMORTISED:
                 by, folder = _weighted, results.flows or output / "flows"
-                of = {
+                flows = {
                     n: p for c, o in chunks for n, p in _flows(c, seen, o, folder, sampler, fitted)
                 }
-                sampled = {n: (*a, of[n], table.rows[n]) for n, a in sampled.items()}
+                sampled = {n: (*eye, flows[n], table.rows[n]) for n, eye in sampled.items()}
             for n, found in each(by, sampled, workers):
                 lost = isinstance(found, Lost)
                 changed = {"status": FAILED, "warnings": found.why} if lost else found
@@ -277,6 +277,22 @@ def _judged(problem: Problem, found: Fit) -> tuple[str, list[str]]:
     return (DOUBTFUL if said else OK), said
 
 
+class _Eye(NamedTuple):
+    """An eye and how its posterior is sampled, in any process."""
+
+    name: str
+    measured: Any
+    seen: Mapping[str, Any]
+    options: Mapping[str, Any]
+    folder: Path
+    sampler: Sampler
+    resume: bool
+
+    def problem(self) -> Problem:
+        spectrum = ij.spectrum(self.measured, **{**self.seen, "name": self.name})
+        return ij.problem(spectrum, **self.options)
+
+
 def _flows(
     chunk: Eyes,
     seen: Mapping[str, Any],
@@ -285,7 +301,7 @@ def _flows(
     sampler: Sampler,
     fitted: Sequence[str],
 ) -> Iterator[tuple[str, Path]]:
-    """The file of the flow for each of some eyes on one grid."""
+    """Find or train the file of the flow for each of some eyes on one grid."""
     eyes = {n: m for n, m in chunk.items() if n in fitted and isinstance(m, Measured)}
     if not eyes:
         return
@@ -307,24 +323,14 @@ def _flows(
         yield name, path
 
 
-def _weighted(
-    eye: Eyes,
-    seen: Mapping[str, Any],
-    options: Mapping[str, Any],
-    folder: Path,
-    sampler: Sampler,
-    resume: bool,
-    path: Path,
-    row: EyeRow,
-) -> EyeRow:
-    """The posterior of an eye by a flow; what that changes in its row."""
-    ((name, measured),) = eye.items()
-    problem = ij.problem(ij.spectrum(measured, **{**seen, "name": name}), **options)
-    (o,), found = problem.observations, fit(problem, key=sampler.key)
+def _weighted(eye: _Eye, path: Path, row: EyeRow) -> EyeRow:
+    """Draw the posterior of an eye by a flow and return the changed cells of its row."""
+    problem, folder, key = eye.problem(), eye.folder, eye.sampler.key
+    (o,), found = problem.observations, fit(problem, key=key)
     values, z, covariance = (np.asarray(x)[None] for x in (o.values, found.z, found.covariance))
     sd = None if o.sd is None else np.asarray(o.sd)[None]
     weighted = weighted_draws(
-        read_flow(path, problem), problem, values, z, covariance, sd, draws=_DRAWS, key=sampler.key
+        read_flow(path, problem), problem, values, z, covariance, sd, draws=_DRAWS, key=key
     )
     unusual, (share,) = bool(weighted.unusual[0]), weighted.efficiency
     changed = {"efficiency": f"{share:.3g}", "out_of_distribution": "yes" if unusual else "no"}
@@ -335,31 +341,23 @@ def _weighted(
             "warnings": "; ".join(filter(None, (row["warnings"], said))),
         }
     if share < EFFICIENT:
-        return changed | _sampled(eye, seen, options, folder, sampler, resume)
+        return changed | _sampled(eye)
     folder.mkdir(parents=True, exist_ok=True)
-    draws = weighted.equal(0, _DRAWS // 2, key=sampler.key)
+    draws = weighted.equal(0, _DRAWS // 2, key=key)
     says = f"draws of a flow weighted by the likelihood, {100 * share:.0f} in 100 effective"
-    report.write_groups(folder, problem, of_draws(problem, draws), [says], sampler.key)
+    report.write_groups(folder, problem, of_draws(problem, draws), [says], key)
     for n, x in reported(problem, draws).items():
         ends = zip(("q2.5", "q50", "q97.5"), np.percentile(x, (2.5, 50, 97.5)), strict=True)
         changed |= {f"{n}_{end}": f"{value:.6g}" for end, value in ends}
     return changed | {"posterior": CONVERGED}
 
 
-def _sampled(
-    eye: Eyes,
-    seen: Mapping[str, Any],
-    options: Mapping[str, Any],
-    folder: Path,
-    sampler: Sampler,
-    resume: bool,
-) -> EyeRow:
+def _sampled(eye: _Eye) -> EyeRow:
     """Sample the posterior of an eye and return the changed cells of its row."""
-    ((name, measured),) = eye.items()
-    problem = ij.problem(ij.spectrum(measured, **{**seen, "name": name}), **options)
+    problem, folder, sampler = eye.problem(), eye.folder, eye.sampler
     folder.mkdir(parents=True, exist_ok=True)
     chain = folder / "chain.h5"
-    if chain.exists() and not resume:
+    if chain.exists() and not eye.resume:
         chain.unlink()
     try:
         bar = report.progress_bar(True)

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
@@ -165,9 +165,8 @@ def map_command(
         if posterior.posterior:
             flow = flow_for(problem, posterior.flows or folder / "flows", posterior.seed, pool.map)
         with _new_folder(folder), replacing(folder / "maps.nc") as made:
-            counts = _written(
-                made, source, problem, (starts, flow, posterior.seed), measured, workers
-            )
+            how = _Fitting(problem, starts, flow, posterior.seed)
+            counts = _written(made, source, how, measured, workers)
             _draw(made, folder, problem, outlines, posterior.posterior)
     rows, columns, _ = source.cube.shape
     said = [f"{n} {FLAGS[flag]}" for flag, n in counts.items() if n]
@@ -269,16 +268,25 @@ def _sample(source: Reflectances) -> np.ndarray:
     raise ValueError(f"{source.cube.path}: no pixel is left to fit: {said}")
 
 
+class _Fitting(NamedTuple):
+    """How pixels are fitted; with a `flow` their posteriors are drawn too."""
+
+    problem: ij.Problem
+    starts: Starts
+    flow: Path | None
+    seed: int
+
+
 def _written(
     path: Path,
     source: Reflectances,
-    problem: ij.Problem,
-    more: tuple[Starts, Path | None, int],
+    how: _Fitting,
     measured: CubeMeasurement,
     workers: Workers,
 ) -> dict[PixelFlag, int]:
     """Fit all pixels into a file; how many have each flag."""
     (rows, columns, _), counts = source.cube.shape, dict.fromkeys(FLAGS, 0)
+    problem, flow = how.problem, how.flow
     names = problem.fitted
     form = dict(zip(problem.free, map(repr, problem.priors), strict=True))
     variables: dict[str, Any] = {}
@@ -287,7 +295,7 @@ def _written(
         prior = {"prior": form[name]} if name in form else {}
         variables[name] = (), "f4", {**said, **prior}
         variables[f"{name}_sd"] = (), "f4", {**said, "long_name": f"standard deviation of {name}"}
-        for what in ("mean", "sd") if more[1] is not None else ():
+        for what in ("mean", "sd") if flow is not None else ():
             words = {"long_name": f"{what} of the posterior of {name}"}
             variables[f"{name}_posterior_{what}"] = (), "f4", {**said, **words}
     wide = {"long_name": "covariance of the parameters in their units"}
@@ -298,7 +306,7 @@ def _written(
     )
     misfit = {"long_name": "sum of squared residuals over the number of bands", "units": "1"}
     variables["reduced_chi_square"] = (), "f4", {**misfit, "_FillValue": np.float32(np.nan)}
-    if more[1] is not None:
+    if flow is not None:
         share = {"long_name": "share of effective draws of the flow", "units": "1"}
         variables["efficiency"] = (), "f4", {**share, "_FillValue": np.float32(np.nan)}
     variables["flag"] = (), "u1", {
@@ -314,12 +322,12 @@ def _written(
     if "simulated" in source.cube.header:
         attributes["simulated"] = source.cube.header["simulated"]
     along = {"parameter": names, "other": names}
-    how: dict[str, Any] = {"unit": "pixel", "disable": not sys.stderr.isatty()}
+    shown: dict[str, Any] = {"unit": "pixel", "disable": not sys.stderr.isatty()}
     with (
         writing_maps(path, (rows, columns), variables, along, attributes) as write,
-        tqdm(total=rows * columns, **how) as bar,
+        tqdm(total=rows * columns, **shown) as bar,
     ):
-        for first, done in each(_fitted, _Pieces(source, problem, *more), workers):
+        for first, done in each(_fitted, _Pieces(source, how), workers):
             if isinstance(done, Lost):
                 raise ValueError(f"{source.cube.path}, row {first} and those below: {done.why}")
             flags, found = done
@@ -339,14 +347,14 @@ def _written(
 class _Pieces(Mapping[int, tuple[Any, ...]]):
     """Arguments of `_fitted` for some rows, by the first of these; read when they are needed."""
 
-    def __init__(self, source: Reflectances, *more: Any):
-        self._source, self._more = source, more
+    def __init__(self, source: Reflectances, how: _Fitting):
+        self._source, self._how = source, how
         rows, columns, _ = source.cube.shape
         self._rows, self._step = rows, max(1, _CHUNK // columns)
 
     def __getitem__(self, first: int) -> tuple[Any, ...]:
         read = self._source.read(first, min(first + self._step, self._rows))
-        return *read, *self._more
+        return *read, self._how
 
     def __iter__(self) -> Iterator[int]:
         return iter(range(0, self._rows, self._step))
@@ -356,34 +364,30 @@ class _Pieces(Mapping[int, tuple[Any, ...]]):
 
 
 def _fitted(
-    values: np.ndarray,
-    flags: np.ndarray,
-    problem: ij.Problem,
-    starts: Starts,
-    flow: Path | None,
-    seed: int,
+    values: np.ndarray, flags: np.ndarray, how: _Fitting
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Flags of rows, and the maps of those pixels that are fitted, posteriors by the `flow`."""
+    """Return flags of rows, and the maps of those pixels that are fitted."""
     good = flags == 0
     if not good.any():
         return flags, {}
     with ThreadPoolExecutor(cores()) as pool:
-        fits = fitting.fit_pixels(problem, values[good], starts, pool.map)
+        fits = fitting.fit_pixels(how.problem, values[good], how.starts, pool.map)
         more, maps = 0, {}
-        if flow is not None:
-            more, maps = _posteriors(problem, values[good], fits, flow, seed, pool.map)
+        if how.flow is not None:
+            more, maps = _posteriors(how, how.flow, values[good], fits, pool.map)
     flags = flags.copy()  # what comes from another process cannot be changed
     flags[good] = fits.flags + more
     return flags, _maps(fits) | maps
 
 
 def _posteriors(
-    problem: ij.Problem, values: np.ndarray, fits: PixelFits, path: Path, seed: int, each: Any
+    how: _Fitting, flow: Path, values: np.ndarray, fits: PixelFits, each: Any
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Flags of pixels, and the maps of their posteriors' means and standard deviations."""
-    flow, data = read_flow(path, problem), (problem, values, fits.z, fits.z_covariance)
-    weighted = weighted_draws(flow, *data, each=each, key=opt.key_of(seed))
-    draws, good = with_chains(weighted, *data, key=opt.key_of(seed))
+    """Return flags of pixels, and the maps of their posteriors' means and standard deviations."""
+    problem, key = how.problem, opt.key_of(how.seed)
+    data = problem, values, fits.z, fits.z_covariance
+    weighted = weighted_draws(read_flow(flow, problem), *data, each=each, key=key)
+    draws, good = with_chains(weighted, *data, key=key)
     maps = {"efficiency": weighted.efficiency}
     for name, x in reported(problem, draws.z).items():
         mean = (draws.weights * x).sum(axis=1)

@@ -67,7 +67,9 @@ def _lashes(rng, lids: Lids, centre) -> np.ndarray:
 
 @eqx.filter_jit
 def _roots(lids: Lids, upper, place, centre):
-    """Where lashes grow: x, y and z at places between the corners and beyond the margin."""
+    """Return x, y and z of the roots of lashes, from places between the corners and beyond the
+    margin.
+    """
     along, beyond = place
     start, end = lids.along(jnp.zeros(())), lids.along(jnp.ones(()))
     x = (along - start) / (end - start)
@@ -77,7 +79,7 @@ def _roots(lids: Lids, upper, place, centre):
 
 
 def _fence(lashes: np.ndarray, centre: float) -> np.ndarray:
-    """Lashes as light for the middle of the cornea meets them, on the sphere of `FENCE`."""
+    """Draw the lashes on the sphere of `FENCE` as seen from the middle of the cornea."""
     side, start = 512, np.array([0.0, 0.0, 0.5])
     way = lashes[..., :3] - start
     way /= np.linalg.norm(way, axis=-1, keepdims=True)
@@ -99,7 +101,7 @@ def _skin(rng, texels: int) -> np.ndarray:
     fx, fy = np.meshgrid(frequency, frequency)
 
     def noise(x: float, y: float) -> np.ndarray:
-        """Of detail about x by y mm in size."""
+        """Return a field of noise whose details are about x by y mm in size."""
         size = (fx * x) ** 2 + (fy * y) ** 2
         band = size * np.exp(-2 * size)
         field = np.fft.ifft2(np.fft.fft2(rng.normal(size=(texels, texels))) * band).real

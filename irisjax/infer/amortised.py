@@ -235,7 +235,7 @@ def read_flow(path: Path, problem: Problem) -> PosteriorFlow:
 
 
 class _Frame(NamedTuple):
-    """Where the flow's origin lies, in which axes, its condition, and `Weighted.oddness`."""
+    """Origin and axes of the flow for one spectrum, its condition, and `Weighted.oddness`."""
 
     centre: Any
     root: Any

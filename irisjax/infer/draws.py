@@ -36,10 +36,18 @@ class ArvizGroups(NamedTuple):
 def of_draws(problem: Problem, z: Float[np.ndarray, "draws free"]) -> Chains:
     """Return independent draws of a posterior in the form of a chain of one walker."""
     count, ones = len(z), np.ones(z.shape[1])
-    logs = problem.log_density(z)[:, None]
-    status = ChainStatus.successful
     return Chains(
-        z[:, None], logs, 1, count, 1.0, ones, count * ones, count * ones, ones, status, ""
+        z=z[:, None],
+        log_probability=problem.log_density(z)[:, None],
+        thin=1,
+        steps=count,
+        acceptance=1.0,
+        tau=ones,
+        ess_bulk=count * ones,
+        ess_tail=count * ones,
+        rhat=ones,
+        status=ChainStatus.successful,
+        reason="",
     )
 
 

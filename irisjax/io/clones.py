@@ -82,9 +82,7 @@ def files_of(
         scene, exposure = clone.scene(), float(np.clip(clone.exposure[1], 1e-6, 1e6))
         around = scene.environment
         given = {"maps": {"file": "maps.exr"}, "picture": {"exposure": exposure}}
-        given["eye"] = {
-            "veins": "clear"
-        }  # for pictures of the whole eye: a clone has its iris only
+        given["eye"] = {"veins": "clear"}  # a clone has its iris only: the white is drawn clear
         if around is not None and not around.is_uniform():
             found["environment.exr"] = encode_exr("environment.exr", np.asarray(around.radiance))
             given["environment"] = {"file": "environment.exr"}

@@ -68,8 +68,8 @@ _NOT_SCANS = re.compile(
     r"(^|sample|eye|subject|patient|person|probe|muestra|auge|œil|\bid|\bp)[\W_]*$", re.I
 )
 _MEASURE = re.compile(r"\s*(°|deg|[smhd]\b|sec|min|day|week|month|year|[mµn]m|%)", re.I)
-# What names say of columns that are no scans of one another: the specular component included or
-# excluded, and what was done to the numbers.
+# Words that tell columns from repeated scans: whether the specular component is included, and how
+# the numbers were processed.
 _KINDS = re.compile(r"\bsc[ie]\b|smooth|filter|\braw|correct|interpol|\bfit|model|total|diffuse")
 _APART = 0.5  # relative difference between the medians of columns that are scans by their names
 _LEAST_ROWS = 8  # by which the noise of columns can be told from what differs

@@ -35,7 +35,7 @@ _NO_WAVELENGTH = re.compile(
 )
 _PERCENT = re.compile(r"%|per\s?cent|prozent|pour\s?cent", re.I)
 _FRACTION = re.compile(r"fraction|^1$|\[1(\.0)?\]|0\s*(-|–|to)\s*1\b", re.I)
-# Of standard deviations: relative to each value; or expanded, k times as large.
+# Headers of standard deviations that are relative to each value, or k times as large (expanded).
 _RELATIVE = re.compile(r"(?<![^\W_])rel(ative)?(?![^\W_])", re.I)
 _EXPANDED = re.compile(r"k\s*=\s*(\d(?:\.\d+)?)|^\W*(\d)\W*(?:sd|σ|sigma)", re.I)
 # The largest reflectance of any iris lies between these: ILIT gives 0.12 without any pigment, and

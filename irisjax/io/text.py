@@ -177,7 +177,7 @@ def _names(above: list[list[str]], width: int) -> list[str]:
     rows = rows or [[""] * width]
     nearest = rows[-1][1:]
     if len(rows) == 1 and any(nearest) and len(set(nearest)) < width - 1 and not _pairs(rows[0]):
-        # What tells columns of one name apart stands further up.
+        # Columns of one name are told apart by a line further up.
         further = (cells for cells in reversed(above[:-1]) if len(cells) == width)
         named = next((cells for cells in further if len(set(cells)) == width), None)
         rows = [["", *named[1:]], *rows] if named else rows

@@ -1,6 +1,6 @@
-"""Kubelka and Munk's diffuse light in an opaque layer, and the reflection of its surface.
+"""Kubelka and Munk's diffuse light in a layer, and the reflection of its surface.
 
-K and S are absorption and scattering per unit length; only their ratio matters here.
+K and S are absorption and scattering per unit length; of an opaque layer only their ratio matters.
 """
 
 from typing import Any
@@ -27,6 +27,22 @@ def thick_layer(absorption: AnyReals, scattering: AnyReals, xp: Any = jnp) -> An
     root = xp.where(some, xp.sqrt(xp.where(some, product, 1.0)), 0.0)
     total = absorption + scattering + root
     return scattering / xp.where(total != 0, total, 1.0)
+
+
+def layer_before(absorption: AnyReals, scattering: AnyReals, thickness: Any, behind: Any) -> Any:
+    """Reflectance of a layer before a background R_g: (1 − R_g (a − c))/(a − R_g + c) with
+    a = 1 + K/S, c = b coth(b S X), b = √(a² − 1)  [Kubelka & Munk 1931; Kubelka 1948].
+
+    Args:
+        absorption: K.
+        scattering: S, above 0.
+        thickness: X.
+        behind: R_g.
+    """
+    lost = absorption / scattering
+    b = jnp.sqrt(lost * (lost + 2) + 1e-12)  # at K = 0 coth has a limit and the root no slope
+    c = b / jnp.tanh(b * scattering * thickness)
+    return (1 - behind * (1 + lost - c)) / (1 + lost - behind + c)
 
 
 def absorption_of(reflectance: AnyReals, scattering: AnyReals) -> Any:

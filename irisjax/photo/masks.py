@@ -307,7 +307,9 @@ def find_lids(pixels: Colours, limbus: Ellipse, pupil: Ellipse) -> Mask:
         _unlike_side(seen, radius, iris & side & (np.abs(down) < 0.5 * np.abs(across)))
         for side in (across < 0, across > 0)
     ]
-    strange = iris * np.nan_to_num(np.fmin(*(np.linalg.norm(o, axis=-1) for o in off)))
+    # Less unlike either side. A radius at which neither side shows iris tells nothing: no lid.
+    unlike = np.fmin(*(np.linalg.norm(o, axis=-1) for o in off))
+    strange = np.where(iris & np.isfinite(unlike), unlike, 0.0)
     found = np.zeros_like(iris)
     for height in (-down, down):
         skin = (radius > 1.05) & (radius < _SEEN_AROUND) & (height > 0.7 * np.abs(across))
@@ -424,7 +426,7 @@ class _Reduced:
 
 
 def _grown(mask: np.ndarray, radius: int) -> np.ndarray:
-    # Of nothing, the distance from it has no meaning.
+    # Of an empty mask scikit-image returns pixels that are set.
     return np.asarray(morphology.isotropic_dilation(mask, radius)) if mask.any() else mask
 
 

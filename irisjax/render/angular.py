@@ -176,7 +176,7 @@ def light_of(
         cosine = -dot(towards, flat)
         lit = (power > 0) & (cosine > 0)
         if facing is not None:
-            irradiance *= jnp.maximum(1 - (1 - facing.sky) * hidden_by(cosine, eye), 0.0)
+            irradiance *= facing.left_of(hidden_by(cosine, eye))
         # The line of sight runs into the eye: light comes out against it.
         across = -(dot(towards, view) - dot(towards, flat) * dot(view, flat))
         values = angles.functions(jnp.where(lit, cosine, 1.0), seen.cosine, across)

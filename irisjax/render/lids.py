@@ -22,7 +22,7 @@ from irisjax.numerics.roots import safe_sqrt
 from irisjax.numerics.strokes import sections, stamped
 from irisjax.optics.conicoid import Parts, Vector, along, parts
 from irisjax.render.camera import Camera
-from irisjax.render.lights import Lights
+from irisjax.render.lights import Lights, wrapped
 from irisjax.tissue.diffusion import (
     bloodless_absorption,
     diffuse_reflectance,
@@ -171,7 +171,7 @@ def lids_lit(
     seen, colour = pixels
     towards, irradiance = lights.seen_from(seen.point)
     cosine = sum(n * t for n, t in zip(seen.normal, towards, strict=True))
-    bled = jnp.where(cosine > _BLEED, cosine, jnp.maximum(cosine + _BLEED, 0.0) ** 2 / (4 * _BLEED))
+    power, tint = irradiance * wrapped(cosine, _BLEED), lights.factors
     half = [t - s for t, s in zip(towards, seen.sight, strict=True)]
     length = safe_sqrt(jnp.asarray(sum(h * h for h in half)))
     upright = sum(h * n for h, n in zip(half, seen.normal, strict=True)) / (length + 1e-6)
@@ -180,16 +180,14 @@ def lids_lit(
     mirror = 0.028 + 0.972 * jnp.maximum(1 - facing, 0.0) ** 5
     sharp = 14 + 200 * seen.wet
     sheen = mirror * (sharp + 2) / 8 * jnp.exp(sharp * jnp.log(upright)) * jnp.maximum(cosine, 0.0)
-    tint = jnp.ones((len(lights), 1), bled.dtype) if lights.tint is None else lights.tint
-    matt = colour * (tint.T @ (irradiance * bled))
+    matt = colour * (tint.T @ power)
     return (matt + lamp[:, None] * (tint.T @ (irradiance * sheen))) * (seen.share / jnp.pi)
 
 
 def in_front(lights: Lights, lamp: Float[Array, " channels"]) -> Float[Array, " channels"]:
     """Irradiance on a surface that faces out of the face."""
     power = lights.irradiance * jnp.maximum(-lights.towards[:, 2], 0.0)
-    tint = jnp.ones((len(lights), 1), power.dtype) if lights.tint is None else lights.tint
-    return lamp * (tint.T @ power)
+    return lamp * (lights.factors.T @ power)
 
 
 def let_in(

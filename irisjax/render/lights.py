@@ -140,6 +140,11 @@ class Lights(eqx.Module):
         tint, distance = joined("tint", 1.0), joined("distance", jnp.inf)
         return Lights(towards, irradiance, tint, distance, radius, self.illuminant)
 
+    @property
+    def factors(self) -> Float[Array, "lights tints"]:
+        """Factors on the channels of a picture: `tint`, or one of 1 where no light has any."""
+        return jnp.ones((len(self), 1), self.irradiance.dtype) if self.tint is None else self.tint
+
     def polar(self) -> Float[Array, " lights"]:
         """Angle of each light from the axis of the eye, radians."""
         return _polar(self.towards)
@@ -163,3 +168,11 @@ class Lights(eqx.Module):
 @eqx.filter_jit
 def _polar(towards):
     return jnp.arctan2(jnp.hypot(towards[:, 0], towards[:, 1]), -towards[:, 2])
+
+
+def wrapped(cosine: Float[Array, "..."], reach: float) -> Float[Array, "..."]:
+    """Cosine by which light falls on a tissue that carries it past the terminator, down to a cosine
+    of −`reach`. A sphere of it sends back as much light as a matt one.
+    """
+    bent = jnp.maximum(cosine + reach, 0.0) ** 2 / (4 * reach)
+    return jnp.where(cosine > reach, cosine, bent) / (1 + reach**2 / 3)

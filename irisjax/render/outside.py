@@ -23,7 +23,7 @@ from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import joined
 from irisjax.render.environment import Environment
 from irisjax.render.lids import BOUNCE, let_in, mirrored_past
-from irisjax.render.lights import Lights
+from irisjax.render.lights import Lights, wrapped
 from irisjax.render.project import MirrorPixels, ScleraPixels
 from irisjax.render.surfaces import GlobeSurface
 from irisjax.tissue.diffusion import (
@@ -48,7 +48,7 @@ DEEPEST = 0.25
 
 # mm: below it the table's nodes are uniform, above it logarithmic, as the Soret band requires.
 _KNEE = 2e-3
-_BLEED = 0.3  # cosine by which light reaches past the terminator of the white
+_BLEED = 0.3  # the white is translucent: light reaches 17° past the terminator, set by eye
 
 
 class Blood(NamedTuple):
@@ -80,11 +80,12 @@ def bulk_reflectance(sclera: Sclera, wavelengths: ArrayLike) -> Spectrum:
 
 def veil(wavelengths: ArrayLike, thickness: float) -> Spectrum:
     """Share of light that `thickness` mm of clear tissue above a vessel sends back, wavelengths in
-    nm: S t/(1 + S t), two fluxes without absorption. It makes vessels fainter, and bluer with
+    nm. It makes vessels fainter, and bluer with
     depth.
     """
-    turned = 0.75 * fibrous_scattering(wavelengths) * thickness
-    return turned / (1 + turned)
+    scattering = fibrous_scattering(wavelengths)
+    nothing = jnp.zeros_like(scattering)
+    return slab_reflectance(nothing, scattering, thickness, nothing)
 
 
 def absorption(sclera: Sclera, wavelengths: ArrayLike) -> Spectrum:
@@ -204,11 +205,7 @@ def white(
     sclera, colour = pixels
     towards, irradiance = lights.seen_from(sclera.point)
     cosine = sum(n * t for n, t in zip(sclera.normal, towards, strict=True))
-    # The sclera is translucent: light bleeds 17° past the terminator. A round white sends back what
-    # a matt one does.
-    bled = jnp.where(cosine > _BLEED, cosine, jnp.maximum(cosine + _BLEED, 0.0) ** 2 / (4 * _BLEED))
-    tint = jnp.ones((len(lights), 1), bled.dtype) if lights.tint is None else lights.tint
-    power = irradiance * bled / (1 + _BLEED**2 / 3)
+    power, tint = irradiance * wrapped(cosine, _BLEED), lights.factors
     if eye is None or eye.lids is None or skin is None:
         return colour * (tint.T @ power)
     open_to = let_in(eye, sclera.point, towards, lights.radius[:, None])

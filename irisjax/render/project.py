@@ -97,8 +97,12 @@ SeenPart = IrisPixels | ScleraPixels | MirrorPixels | LidPixels
 
 
 class View(eqx.Module):
-    """What a camera sees of an eye, part by part; absent parts are `None`. `lashes` is the share
-    of each pixel of the picture that lashes cover, which the other parts are already without.
+    """The parts of an eye that a camera sees; absent parts are `None`.
+
+    Attributes:
+        iris, sclera, mirror, lids: The pixels that see each part, less what lashes cover of them.
+        size: Columns and rows of the picture.
+        lashes: Share of each pixel of the picture that lashes cover.
     """
 
     iris: IrisPixels | None

@@ -37,6 +37,10 @@ class Facing(NamedTuple):
     normal: Parts
     sky: Float[Array, " pixels"]
 
+    def left_of(self, hidden: Float[Array, " pixels"]) -> Float[Array, " pixels"]:
+        """Share of light that the relief leaves; `hidden` is `hidden_by` of its directions."""
+        return jnp.maximum(1 - (1 - self.sky) * hidden, 0.0)
+
 
 class Front(NamedTuple):
     """The iris that pixels see: its eye, its tissue (`None` if it is painted) and its maps."""
@@ -91,11 +95,10 @@ def field_of(
             across = -dot(flux, normal)
             both = jnp.stack([across, across * hidden_by(cosine, eye)], -1)
             flux = jnp.concatenate([flux, both], -1)
-        tint = jnp.ones(1, flux.dtype) if lights.tint is None else lights.tint[i]
-        return total + jnp.moveaxis(flux, -1, 0) * tint[:, None, None, None], None
+        return total + jnp.moveaxis(flux, -1, 0) * tints[i, :, None, None, None], None
 
-    tints = 1 if lights.tint is None else 3
-    zero = jnp.zeros((tints, 5 if relief else 3, size, size), lights.irradiance.dtype)
+    tints = lights.factors
+    zero = jnp.zeros((tints.shape[1], 5 if relief else 3, size, size), lights.irradiance.dtype)
     total = jax.lax.scan(add, zero, jnp.arange(len(lights)))[0]
     if not relief:
         return total
@@ -198,7 +201,7 @@ def irradiance_at(
     towards = [-sum(f * n for f, n in zip(tint, normal, strict=False)) for tint in flux]
     found = jnp.maximum(jnp.stack(towards), 0.0)
     if facing is not None:
-        found = found * jnp.maximum(1 - (1 - facing.sky) * flux[:, 3], 0.0)
+        found = found * facing.left_of(flux[:, 3])
     return (found * shares(pixels, eye))[:, None]
 
 

@@ -82,8 +82,8 @@ class SingleScattering(AbstractIntegrator):
         tables: Illumination | None,
         facing: Facing | None,
     ) -> "tuple[SceneData, Facing | None]":
-        """What all pixels share, and how each faces the light. The relief tilts the surface towards
-        the light; its parallax is left out.
+        """Return what all pixels share, and how each of them faces the light. The relief tilts the
+        surface; its parallax is left out.
         """
         elsewhere: Any = {"relief": None, "residual": None}
         maps = {} if front.maps is None else front.maps.replace(**elsewhere).present()
@@ -307,8 +307,7 @@ def _sources(
         lit = (power > 0) & (cosine > 1e-3)
         phase = rayleigh(bend) / (4 * jnp.pi)
         if facing is not None:
-            hidden = (1 - facing.sky) * hidden_by(-(towards * flat).sum(0), data.eye)
-            power = power * jnp.maximum(1 - hidden, 0.0)
+            power = power * facing.left_of(hidden_by(-(towards * flat).sum(0), data.eye))
         return jnp.where(lit, power * phase, 0.0), 1 / jnp.where(lit, cosine, 1.0)
 
     return jax.lax.map(one, data.flux)

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 
 from irisjax._types import Scalar, Spectrum
+from irisjax.optics.kubelka_munk import layer_before
 
 _INSIDE = 0.493  # share of diffuse light that a surface of index 1.4 reflects back inside
 
@@ -36,7 +37,7 @@ def slab_reflectance(
     thickness: Scalar | float,
     behind: Spectrum,
 ) -> Spectrum:
-    """Diffuse reflectance of a slab, mm thick, by two fluxes [Kubelka & Munk 1931].
+    """Diffuse reflectance of a slab by two fluxes, see `layer_before`.
 
     Args:
         absorption: Absorption coefficient.
@@ -44,11 +45,7 @@ def slab_reflectance(
         thickness: Thickness, mm.
         behind: Diffuse reflectance of what lies behind.
     """
-    turned = 0.75 * scattering
-    lost = 2 * absorption / turned
-    root = jnp.sqrt(lost * (lost + 2) + 1e-12)
-    c = root / jnp.tanh(root * turned * thickness)
-    return (1 - behind * (1 + lost - c)) / (1 + lost - behind + c)
+    return layer_before(2 * absorption, 0.75 * scattering, thickness, behind)
 
 
 def fibrous_scattering(wavelengths: ArrayLike) -> Spectrum:

@@ -93,7 +93,7 @@ def seen():
 
 
 def test_lids_hide_what_lies_behind_them(seen):
-    """By both projections: all pixels for each part, or those alone that see it."""
+    """Both projections show the same: all pixels for each part, and only those that see it."""
     every, whole = project(EYE, CAMERA), project(BARE, CAMERA)
     for name in ("iris", "sclera", "lids"):
         few, all_of = (
