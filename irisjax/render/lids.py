@@ -170,7 +170,7 @@ def lids_lit(
     """Radiance of lids, from their `lid_colour`: skin and its sheen, sharper where it is wet."""
     seen, colour = pixels
     towards, irradiance = lights.seen_from(seen.point)
-    cosine = sum(n * t for n, t in zip(seen.normal, towards, strict=True))
+    cosine = jnp.asarray(sum(n * t for n, t in zip(seen.normal, towards, strict=True)))
     power, tint = irradiance * wrapped(cosine, _BLEED), lights.factors
     half = [t - s for t, s in zip(towards, seen.sight, strict=True)]
     length = safe_sqrt(jnp.asarray(sum(h * h for h in half)))

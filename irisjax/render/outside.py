@@ -204,7 +204,7 @@ def white(
     """
     sclera, colour = pixels
     towards, irradiance = lights.seen_from(sclera.point)
-    cosine = sum(n * t for n, t in zip(sclera.normal, towards, strict=True))
+    cosine = jnp.asarray(sum(n * t for n, t in zip(sclera.normal, towards, strict=True)))
     power, tint = irradiance * wrapped(cosine, _BLEED), lights.factors
     if eye is None or eye.lids is None or skin is None:
         return colour * (tint.T @ power)

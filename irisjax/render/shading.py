@@ -37,7 +37,7 @@ class Facing(NamedTuple):
     normal: Parts
     sky: Float[Array, " pixels"]
 
-    def left_of(self, hidden: Float[Array, " pixels"]) -> Float[Array, " pixels"]:
+    def left_of(self, hidden: Float[Array, "*tints pixels"]) -> Float[Array, "*tints pixels"]:
         """Share of light that the relief leaves; `hidden` is `hidden_by` of its directions."""
         return jnp.maximum(1 - (1 - self.sky) * hidden, 0.0)
 
