@@ -35,7 +35,7 @@ from irisjax.tissue.diffusion import (
 )
 from irisjax.tissue.pigments import extinction
 
-SHALLOW, DEEP = 0.1, 0.3
+SHALLOW, DEEP = 0.07, 0.3
 """Tissue over conjunctival and over episcleral vessels, mm."""
 
 DEEP_CHORD = 0.08
