@@ -143,6 +143,14 @@ os.execv(sys.argv[1], sys.argv[1:])
 """
 
 
+# Of a job in the background a shell has SIGINT ignored, and its children's too.
+_HEARS_CTRL_C = """
+import os, signal, sys
+signal.signal(signal.SIGINT, signal.SIG_DFL)
+os.execv(sys.argv[1], sys.argv[1:])
+"""
+
+
 def _command(folder, *arguments, before=(), **more):
     """`irisjax fit --batch` in a process of its own, with a cache that all these share."""
     flags = "--xla_backend_optimization_level=0"
@@ -192,11 +200,16 @@ def test_equal_bytes_whatever_the_workers_and_the_faults(tmp_path):
     assert error[0].startswith(f"irisjax: {target}")
     assert not list(target.glob("*"))
 
-    stopped = _command(tmp_path, "-o", target, "--workers", "2", start_new_session=True)
-    # Once a worker is there, which imports for a second; all eyes take less on a quick machine.
-    process = psutil.Process(stopped.pid)
-    while stopped.poll() is None and not process.children(recursive=True):
-        time.sleep(0.02)
+    hears = "-c", _HEARS_CTRL_C, sys.executable
+    stopped = _command(
+        tmp_path, "-o", target, "--workers", "2", before=hears, start_new_session=True
+    )
+    # Once both workers are there, beside the tracker of their pipes: they import for a second.
+    for _ in range(200):
+        if len(psutil.Process(stopped.pid).children(recursive=True)) >= 3:
+            break
+        time.sleep(0.1)
+    time.sleep(0.5)
     stopped.send_signal(signal.SIGINT)
     assert stopped.communicate(timeout=20)[1] == "irisjax: interrupted\n"
     assert stopped.returncode == 130
