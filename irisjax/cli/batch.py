@@ -39,7 +39,7 @@ from irisjax.io.fits import (
 )
 from irisjax.io.measured import Measured
 from irisjax.io.tables import naming, replacing
-from irisjax.numerics.portions import cores
+from irisjax.numerics.chunks import cores
 from irisjax.transport.process import option_of
 
 _CHUNK = 64  # eyes a device at a time

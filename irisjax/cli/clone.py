@@ -218,7 +218,7 @@ def clone_command(
     with beside() if "pigments" in wanted else nullcontext(here) as draw:
         made = run_clone(picture.photograph, picture, model, results, results.output, draw)
     for note in made.found.photograph.notes:
-        opt.tell(f"{picture.photograph}: {note}")
+        opt.notice(f"{picture.photograph}: {note}")
     if made.pictures is not None:
         print(
             f"difference of the pictures, RMS: {per_cent(made.pictures.rms)} % (R, G, B); by the "
@@ -356,7 +356,7 @@ def report(
             + (" (--eye takes another)" if number > 1 else "")
         )
     for doubt in doubts:
-        opt.tell(f"WARNING: {doubt.sentence}")
+        opt.notice(f"WARNING: {doubt.sentence}")
     if isinstance(found, cloning.Posed):
         pose = found.pose
         where = "" if pose.distance is None else f", {pose.distance:.0f} mm away"
@@ -367,16 +367,16 @@ def report(
             f"a limbus of {2 * float(pose.eye.limbus_radius):.1f} mm"
         )
         if pose.distance is None:
-            opt.tell("no focal length in the file: the distance is not known; give --focal-px")
+            opt.notice("no focal length in the file: the distance is not known; give --focal-px")
     if isinstance(found, cloning.Fitted):
         if cross_polarised:
-            opt.tell(
+            opt.notice(
                 "WARNING: the model's iris keeps 98 % and more of the light's polarisation, so "
                 "crossed polarisers would make it black; the pigments are those of an iris that "
                 "depolarises"
             )
         if found.lighting.found == 0 and found.pose.eye.cornea is not None:
-            opt.tell(
+            opt.notice(
                 "no highlight on the cornea shows a lamp: light from all round is assumed; if the "
                 "picture shows no cornea, painted or a texture, give --media flat"
             )

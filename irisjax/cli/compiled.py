@@ -84,7 +84,7 @@ def _keeping(function: Any, **options: Any) -> Any:
 
 def kept_tables(scene: "Scene") -> "Illumination | None":
     """Return `scene.tables()` from the cache, or compute and keep it; a broken file is replaced."""
-    from irisjax.cli.options import tell
+    from irisjax.cli.options import notice
 
     place = folder()
     if place is None or scene.eye.cornea is None:
@@ -99,14 +99,14 @@ def kept_tables(scene: "Scene") -> "Illumination | None":
     except Exception as error:  # reading a pickle that is damaged may raise anything
         if path.exists():
             said = (str(error).strip() or type(error).__name__).split("\n")[0]
-            tell(f"{path}: not usable ({said}); made again")
+            notice(f"{path}: not usable ({said}); made again")
     made = scene.tables(caustics)
     data = pickle.dumps(made, protocol=5)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, _digest(path, data) + data)
     except OSError as error:
-        tell(f"{path}: the tables could not be kept ({error.strerror})")
+        notice(f"{path}: the tables could not be kept ({error.strerror})")
     with suppress(OSError):  # another run may remove them too
         for old in _beyond_newest(path.parent, MOST_TABLES):
             old.unlink()

@@ -179,7 +179,7 @@ def _connected(address: str, patience: float) -> Iterator[Any]:
             time.sleep(0.5)
     try:
         if not client.ncores():
-            opt.tell(f"{address}: the scheduler has no workers yet; waiting for one")
+            opt.notice(f"{address}: the scheduler has no workers yet; waiting for one")
         yield client
     finally:
         client.close(timeout=2)

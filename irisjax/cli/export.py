@@ -41,4 +41,4 @@ def export_command(subject: EyeWithPupil, handover: Handover) -> None:
         f"{CONE:g}° of its normal"
     )
     if made.clipped:
-        opt.tell(f"{output}: {made.clipped} texels out of sRGB's range are clipped")
+        opt.notice(f"{output}: {made.clipped} texels out of sRGB's range are clipped")

@@ -57,7 +57,7 @@ def png_of(path: Path, encoded: Any, remark: str) -> bytes:
     """Return the bytes of a PNG of encoded values; warns of values that are clipped."""
     data, clipped = encode_png(path, encoded, remark=remark)
     if clipped:
-        opt.tell(f"{path}: {clipped} pixels out of sRGB's range are clipped")
+        opt.notice(f"{path}: {clipped} pixels out of sRGB's range are clipped")
     return data
 
 
@@ -80,7 +80,7 @@ def _take_settings(context, param, source: Path | None) -> Path | None:
         own = {p.name for p in command.params if _panel(p) == LightOptions.PANEL}
         if left := [name for name in context.default_map if name in own]:
             names = ", ".join(left)
-            opt.tell(f"note: {source} is of another command; not taken from it: {names}")
+            opt.notice(f"note: {source} is of another command; not taken from it: {names}")
         for name in left:
             del context.default_map[name]
     return source

@@ -10,7 +10,7 @@ from irisjax.cli.engine import Workers
 from irisjax.cli.files import check_folder
 from irisjax.cli.fit_options import EPILOG as EPILOG
 from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler
-from irisjax.cli.options import dashed, grouped, tell
+from irisjax.cli.options import dashed, grouped, notice
 from irisjax.io.tables import naming
 from irisjax.plot.beside import beside, here
 from irisjax.transport.process import DEPTH_RESOLVED, option_of
@@ -62,7 +62,7 @@ def fit_command(
     for path in spectra:
         table = io.read_measured(path, **measured.reading._asdict())
         for said in (*table.notes, *(f"WARNING: {doubt}" for doubt in table.doubts)):
-            tell(f"{path}: {said}")
+            notice(f"{path}: {said}")
         if measured.bands is not None:
             with naming(f"{measured.bands}, bands for {path}"):
                 seen["bands"].matched(table.wavelengths)
@@ -82,7 +82,7 @@ def fit_command(
             if not results.resume:
                 (folder / "chain.h5").unlink(missing_ok=True)
         if model.process is None and problem.process != DEPTH_RESOLVED:
-            tell(f"read by {option_of(problem.process)}, by which irisjax simulated the file")
+            notice(f"read by {option_of(problem.process)}, by which irisjax simulated the file")
         resume = results.resume
         converged = report.one(problem, folder, sampler, bar, resume=resume, draw=draw)
     raise typer.Exit(0 if converged else _NOT_CONVERGED)

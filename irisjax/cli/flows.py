@@ -17,7 +17,7 @@ def flow_for(problem: ij.Problem, folder: Path, seed: int, each: Any) -> Path:
     if path.exists():
         read_flow(path, problem)
         return path
-    opt.tell(f"training a flow for these bands and this model, some minutes; kept in {folder}")
+    opt.notice(f"training a flow for these bands and this model, some minutes; kept in {folder}")
     flow = train_flow(problem, each=each, key=opt.key_of(seed))
     folder.mkdir(parents=True, exist_ok=True)
     with replacing(path) as made:

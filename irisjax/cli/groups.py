@@ -59,7 +59,7 @@ def compare_groups_command(groups: Groups) -> None:
     for path, found in ((groups.first, one), (groups.second, two)):
         if found.left_out:
             some = ", ".join(f"{n} ({s})" for n, s in list(found.left_out.items())[:8])
-            opt.tell(f"{path}: {len(found.left_out)} eyes are left out: {some}")
+            opt.notice(f"{path}: {len(found.left_out)} eyes are left out: {some}")
     remarks, rows = _repeated(one, two) if groups.paired else _compared(one, two, groups.seed)
     shown = {name: [_cell(row[name]) for row in rows] for name in rows[0]}
     print_table([], shown, remarks, title="value (95 % interval)")

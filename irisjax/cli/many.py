@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from irisjax import io
-from irisjax.cli.options import tell
+from irisjax.cli.options import notice
 
 EyeRow = dict[str, str]
 Beside = Callable[[], Mapping[Path, bytes]]
@@ -112,7 +112,7 @@ class EyeTable:
             if names:
                 some = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
                 of = f"{len(names)} of {len(self.eyes)} {self.unit}s"
-                tell(f"{of} {verb}: {some}; the column {self.first[-1]} says why")
+                notice(f"{of} {verb}: {some}; the column {self.first[-1]} says why")
         return 3 if any(row["status"] == FAILED for row in self.rows.values()) else 0
 
 

@@ -35,7 +35,7 @@ from irisjax.io.sections import plain, toml_of
 from irisjax.io.tables import replacing
 from irisjax.measure.passbands import Passbands
 from irisjax.numerics.checks import Range
-from irisjax.numerics.portions import cores
+from irisjax.numerics.chunks import cores
 from irisjax.photo.photograph import Ellipse
 from irisjax.plot import flags_figure, maps_figure, picture
 from irisjax.tissue.maps import cell_centres
@@ -171,10 +171,10 @@ def map_command(
     rows, columns, _ = source.cube.shape
     said = [f"{n} {FLAGS[flag]}" for flag, n in counts.items() if n]
     print_table([], _medians(folder / "maps.nc", problem), [], title=f"{folder}: medians")
-    opt.tell(f"{rows * columns} pixels: {', '.join(said) or 'none flagged'}")
+    opt.notice(f"{rows * columns} pixels: {', '.join(said) or 'none flagged'}")
     fitted = rows * columns - sum(counts[f] for f in list(FLAGS)[:3])
     if counts[PixelFlag.MISFIT] > _MANY * fitted:
-        opt.tell("WARNING: the model does not produce the spectra of many pixels: see the misfit")
+        opt.notice("WARNING: the model does not produce the spectra of many pixels: see the misfit")
 
 
 def _outlines(pixels: PixelChoice) -> tuple[Ellipse, Ellipse] | None:
@@ -205,15 +205,15 @@ def _stated(
     notes: list[str] = []
     used = np.flatnonzero(within_range(grid, measured.wavelengths, notes))
     for note in notes:
-        opt.tell(f"{cube.path}: {note}")
+        opt.notice(f"{cube.path}: {note}")
     if bands is None and cube.fwhm is not None and (cube.fwhm > 0).all():
         seen["bands"] = Passbands.slit(grid[used], cube.fwhm[used])
-        opt.tell(f"{cube.path}: bandwidths as the file says; --bandwidth otherwise")
+        opt.notice(f"{cube.path}: bandwidths as the file says; --bandwidth otherwise")
     blank = ij.spectrum(grid[used], np.zeros(used.size), name=str(cube.path), **seen)
     noise: Any = measured.relative_noise, measured.absolute_noise
     problem = ij.problem(blank, noise=ij.Noise(*noise), **model.stated([cube.header]))
     if model.process is None and problem.process != DEPTH_RESOLVED:
-        opt.tell(f"read by {option_of(problem.process)}, by which irisjax simulated the file")
+        opt.notice(f"read by {option_of(problem.process)}, by which irisjax simulated the file")
     white, dark = (
         None if path is None else read_reference(path, cube, **how)
         for path in (measured.white, measured.dark)
@@ -433,7 +433,7 @@ def _draw(made: Path, folder: Path, problem: ij.Problem, outlines: Any, posterio
         drawn["efficiency"] = maps_figure(share, extent)
     data = {folder / f"{name}.png": picture(figure, ".png") for name, figure in drawn.items()}
     if outlines is not None and problem.base.power_law is not None:
-        opt.tell("no maps.exr: pictures support no power law of scattering")
+        opt.notice("no maps.exr: pictures support no power law of scattering")
     elif outlines is not None:
         data |= {folder / n: d for n, d in _for_renderers(made, flags, problem, outlines).items()}
     io.write_together(data)

@@ -210,7 +210,7 @@ def _doubt_few_photons(reading: Any) -> None:
     # N photons of equal weight have a relative standard error of 1/√N.
     rare = np.asarray(error) > np.abs(np.asarray(reading.values)) / np.sqrt(_FEW_PHOTONS)
     if rare.any():
-        opt.tell(
+        opt.notice(
             f"WARNING: {rare.sum()} of {rare.size} values come from fewer than {_FEW_PHOTONS} "
             "photons' worth: their standard errors may be far too small; give more --photons"
         )

@@ -179,7 +179,7 @@ def _is_typed(context: Any, name: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"
 
 
-def tell(text: str) -> None:
+def notice(text: str) -> None:
     """Print a line on standard error."""
     print(f"irisjax: {text}", file=sys.stderr)
 

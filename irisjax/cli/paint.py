@@ -209,7 +209,7 @@ def _matched(
     same = {"scans": scans, "size": size}
     fitted = match(recipe.coats, *given, known, **same, max_steps=_SEARCH, key=key)
     if not fitted.converged:
-        opt.tell(f"the match was stopped after {fitted.steps} steps")
+        opt.notice(f"the match was stopped after {fitted.steps} steps")
     there = Path(os.path.relpath(folder, recipe.folder)).as_posix()
     prefix = posixpath.normpath(posixpath.join(there, "retouch-"))
     # Hidden texels have the mean of their radius, and are painted so.

@@ -160,7 +160,7 @@ def left_out(scene: Scene) -> str | None:
 
 def _still(scene: Scene, picture: PictureOptions, exposure: float, output: Path) -> None:
     if (said := left_out(scene)) is not None:
-        opt.tell(f"WARNING: {output}: {said}")
+        opt.notice(f"WARNING: {output}: {said}")
     wavelengths = None if picture.spectral is None else tuple(map(float, picture.spectral.values))
     scene = scene.replace(wavelengths=wavelengths)
     height = scene.camera.size[1]
@@ -260,13 +260,13 @@ def _exposed(pictures: Any, exposure: float, output: Path) -> Iterator[np.ndarra
         lightest = max(lightest, exposure * float(np.max(pixels)))
         yield exposure * pixels
     if lightest <= 0:
-        opt.tell(f"{output}: the picture is black: no light falls on what the camera sees")
+        opt.notice(f"{output}: the picture is black: no light falls on what the camera sees")
 
 
 def _tell_clipped(output: Path, clipped: int, count: int) -> None:
     if clipped:
         share = f"{100 * clipped / count:.2g} %"
-        opt.tell(f"{output}: {clipped} pixels ({share}) out of sRGB's range are clipped")
+        opt.notice(f"{output}: {clipped} pixels ({share}) out of sRGB's range are clipped")
 
 
 _ENCODED: dict[str, Callable[[np.ndarray], np.ndarray]] = {

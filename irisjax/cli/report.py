@@ -13,7 +13,7 @@ from irisjax import io
 from irisjax.cli import sentences
 from irisjax.cli.fit_options import Sampler
 from irisjax.cli.many import csv_of
-from irisjax.cli.options import tell
+from irisjax.cli.options import notice
 from irisjax.infer.analysis import Analysis, analyse, predictive
 from irisjax.infer.draws import ArvizGroups, arviz_groups
 from irisjax.infer.fit import words_for
@@ -190,9 +190,9 @@ def _print(found: Analysis, first: list[str], lines: list[str]) -> None:
     """Print the table between its lines, and on standard error what makes the search doubtful."""
     rows, chains, seen = found.rows, found.chains, found.problem.observations
     for doubt in sentences.of_the_data(found.problem):
-        tell(doubt)
+        notice(doubt)
     if not bool(found.fit.converged):
-        tell(f"least squares: {words_for(found.fit.status)}; the sampler started there")
+        notice(f"least squares: {words_for(found.fit.status)}; the sampler started there")
     of = f"{', '.join(o.name for o in seen)}: posterior{' of one eye' if len(seen) > 1 else ''}"
     columns = {
         "parameter": [r.parameter for r in rows],

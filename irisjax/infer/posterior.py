@@ -136,19 +136,19 @@ def sample(
     """
     check_run(target, store, walkers=walkers, resume=resume, key=key)
     kept, log_density = Store(store), target.log_density
-    tell = progress or (lambda steps, word: None)
+    report = progress or (lambda steps, word: None)
     if kept.start is None:
-        kept.begin(_first(target, start, walkers, key, tell))
+        kept.begin(_first(target, start, walkers, key, report))
     while True:
         chain = kept.start
         assert chain is not None
         if chain.number < len(_BURN_IN):
             most = _BURN_IN[chain.number]
-            _advance(kept, chain, most, log_density, key, tell, "burn-in")
+            _advance(kept, chain, most, log_density, key, report, "burn-in")
             _replace(kept, chain, kept.rows(most // 2, most)[0])
             continue
         most = min(kept.planned or _FIRST_LOOK, max_steps)
-        _advance(kept, chain, most, log_density, key, tell, "sampling")
+        _advance(kept, chain, most, log_density, key, report, "sampling")
         chains = diagnose(kept)
         if chains.converged or chains.steps >= max_steps:
             break
@@ -241,14 +241,14 @@ def mixing(draws: Float[np.ndarray, "chains draws"]) -> tuple[float, float, floa
     return float(stats.rhat(draws)), float(bulk), float(tail)
 
 
-def _first(target: Density, start: Approximation, walkers: int, key: PRNGKey, tell) -> ChainStart:
+def _first(target: Density, start: Approximation, walkers: int, key: PRNGKey, report) -> ChainStart:
     """The walkers' first places, and the samples that their jumps are adapted to."""
     random = np.random.RandomState([*words_of(key), 1 << 31])
 
-    def report(rounds: int) -> None:
-        tell(0, "importance sampling")
+    def progress(rounds: int) -> None:
+        report(0, "importance sampling")
 
-    found = importance_sample(target.log_density, start, random, report)
+    found = importance_sample(target.log_density, start, random, progress)
     places = found.samples[random.choice(len(found.samples), walkers, walkers > DRAWS)]
     # Differences of walkers on one spot would be zero.
     apart = random.standard_normal(places.shape)
@@ -272,7 +272,7 @@ def _advance(
     steps: int,
     log_density: Callable[[np.ndarray], np.ndarray],
     key: PRNGKey,
-    tell: Callable[[int, str], object],
+    report: Callable[[int, str], object],
     word: str,
 ) -> None:
     """Continue a chain to so many steps."""
@@ -301,7 +301,7 @@ def _advance(
             if time.monotonic() > saved + _BETWEEN_SAVES:
                 store.save()
                 saved = time.monotonic()
-            tell(start.steps_before + done, word)
+            report(start.steps_before + done, word)
     finally:
         store.save()
 
