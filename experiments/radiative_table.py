@@ -15,8 +15,8 @@ import numpy as np
 
 import irisjax as ij
 from irisjax.numerics import linear
+from irisjax.numerics.chunks import by_rows
 from irisjax.numerics.interpolation import chebyshev_nodes
-from irisjax.numerics.portions import by_rows
 from irisjax.numerics.tucker import Tucker, grid_points
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris

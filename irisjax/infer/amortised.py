@@ -33,7 +33,7 @@ from irisjax.infer.pixels import Each, fit_pixels, prior_starts
 from irisjax.infer.posterior import sample, words_of
 from irisjax.infer.problem import Problem, predicted
 from irisjax.numerics import linear
-from irisjax.numerics.portions import by_rows
+from irisjax.numerics.chunks import by_rows
 
 if TYPE_CHECKING:
     from flowjax.distributions import Transformed

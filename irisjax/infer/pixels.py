@@ -29,7 +29,7 @@ from irisjax.infer.observation import with_values
 from irisjax.infer.parameters import kind
 from irisjax.infer.problem import Problem
 from irisjax.numerics import linear
-from irisjax.numerics.portions import by_rows
+from irisjax.numerics.chunks import by_rows
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 

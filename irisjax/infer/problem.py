@@ -20,7 +20,7 @@ from irisjax.infer.priors import AbstractPrior, check_prior
 from irisjax.measure.instrument import AbstractInstrument
 from irisjax.measure.observe import observed, prepared
 from irisjax.numerics.checks import check_known, check_range
-from irisjax.numerics.portions import by_rows, in_pieces
+from irisjax.numerics.chunks import by_rows, in_pieces
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.scattering import PowerLaw
 from irisjax.transport import defaults

@@ -35,7 +35,7 @@ from irisjax.render.camera import CAMERA_LIMITS, LARGEST, Camera
 from irisjax.render.environment import ENVIRONMENTS
 from irisjax.render.integrators import INTEGRATORS, finer, integrator_name
 from irisjax.render.lights import LIGHT_LIMITS, Lights
-from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
+from irisjax.render.scene import ENVIRONMENT_LIGHTS, LAMP, Scene
 from irisjax.tissue.iris import FRACTIONS, LIMITS, MELANIN_LOAD, Absorption, Iris
 from irisjax.transport.process import AbstractProcess
 
@@ -172,7 +172,7 @@ class SceneFile:
                 one = dataclasses.replace(one, tint=tint)
             lights = one if lights is None else lights + one
         if lights is None and "environment" not in self.sections:
-            lights = Lights.distant(0.6, 2.1, illuminant=illuminant)
+            lights = Lights.distant(*LAMP, illuminant=illuminant)
         return {"lights": lights, "illuminant": illuminant}
 
     def _environment(self) -> dict[str, Any]:

@@ -16,7 +16,6 @@ from irisjax.ocularist.plan import TEXTURE_SHAPE
 from irisjax.ocularist.tissue import Tissue, reflectance_of
 from irisjax.photo.texture import HALF_WIDTH, to_polar
 from irisjax.render.integrators import integrator_name
-from irisjax.render.lights import Lights
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
@@ -74,7 +73,6 @@ def tissue_files(tissue: Tissue, eye: Eye) -> dict[str, bytes]:
         tissue.iris,
         tissue.maps,
         eye=eye.replace(cornea=Cornea.f09(), aqueous_index=1.376, sclera=None),
-        lights=Lights.distant(0.6, 2.1),
     )
     given = {"maps": {"file": TISSUE_MAPS}, "picture": {"exposure": tissue.exposure}}
     remark = (

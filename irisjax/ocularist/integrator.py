@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
+from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import bilinear, multilinear, smoothstep
-from irisjax.numerics.portions import pixelwise
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.ocularist.coats import Coat, Painting, over, texels, through
 from irisjax.ocularist.cones import Cones

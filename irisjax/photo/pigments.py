@@ -33,7 +33,7 @@ from irisjax.infer.importance import Start
 from irisjax.infer.least_squares import least_squares, levenberg_marquardt
 from irisjax.infer.posterior import Chains
 from irisjax.infer.priors import AbstractPrior, LogNormal
-from irisjax.numerics.portions import by_rows
+from irisjax.numerics.chunks import by_rows
 from irisjax.photo.windows import ANGLES, RINGS, Windows
 from irisjax.tissue.iris import CONCENTRATIONS, Iris
 

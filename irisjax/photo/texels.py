@@ -22,8 +22,8 @@ from scipy.stats import qmc
 from skimage.transform import downscale_local_mean, resize
 
 from irisjax.numerics.checks import Range
+from irisjax.numerics.chunks import by_rows, in_chunks
 from irisjax.numerics.interpolation import chebyshev
-from irisjax.numerics.portions import by_rows, in_portions
 from irisjax.photo.filling import fill_by_texture
 from irisjax.photo.photograph import Brightness, Colours, Mask
 from irisjax.photo.pigments import iris_of_concentrations
@@ -487,7 +487,7 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
         common = jnp.einsum("icp,cd,jdp->ijp", moved, loose, moved)
         return z, _inverse(told) + common, jnp.einsum("iip->ip", common), off
 
-    found = in_portions(solve, tuple(jnp.moveaxis(r, 0, -1) for r in rows))
+    found = in_chunks(solve, tuple(jnp.moveaxis(r, 0, -1) for r in rows))
     return tuple(jnp.moveaxis(f, -1, 0) for f in found)
 
 

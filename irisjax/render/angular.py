@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
+from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import chebyshev_nodes
-from irisjax.numerics.portions import pixelwise
 from irisjax.optics.conicoid import dot, joined, norm
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.polynomials import along_nodes, polynomials

@@ -16,8 +16,8 @@ from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.lids import DOME, EDGE_WIDTH, FACE, FENCE, Lids
 from irisjax.anatomy.sclera import sclera_centre
+from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import bilinear, smoothstep
-from irisjax.numerics.portions import pixelwise
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.numerics.strokes import sections, stamped
 from irisjax.optics.conicoid import Parts, Vector, along, parts

@@ -17,8 +17,8 @@ from jaxtyping import Array, Float
 from irisjax._types import Spectrum
 from irisjax.anatomy.eye import Eye, Sclera
 from irisjax.anatomy.sclera import VeinMap
+from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import polar_bilinear
-from irisjax.numerics.portions import pixelwise
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import joined
 from irisjax.render.environment import Environment

@@ -14,8 +14,8 @@ from jaxtyping import Array, Bool, Float, Int, Int8, Shaped
 
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.media import TEAR
+from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import smoothstep
-from irisjax.numerics.portions import pixelwise
 from irisjax.optics.conicoid import (
     Parts,
     Vector,

@@ -22,6 +22,8 @@ from irisjax.tissue.maps import IrisMaps, check_pictured
 
 ENVIRONMENT_LIGHTS = 25
 """Lamps that stand for an environment."""
+LAMP = 0.6, 2.2
+"""Polar angle and azimuth, radians, of the lamp of a scene that has no other light."""
 
 
 class Scene(eqx.Module):
@@ -54,7 +56,7 @@ class Scene(eqx.Module):
     iris: Iris | None
     maps: IrisMaps | None = None
     eye: Eye = eqx.field(default_factory=Eye)
-    lights: Lights | None = eqx.field(default_factory=lambda: Lights.distant(0.6, 2.2))
+    lights: Lights | None = eqx.field(default_factory=lambda: Lights.distant(*LAMP))
     environment: Environment | None = None
     camera: Camera = eqx.field(default_factory=Camera)
     veins: VeinMap | None = None

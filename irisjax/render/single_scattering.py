@@ -23,8 +23,8 @@ from jaxtyping import Array, Float
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import check_whole
+from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import chebyshev_nodes, polar_bilinear
-from irisjax.numerics.portions import pixelwise
 from irisjax.optics.conicoid import joined, norm
 from irisjax.optics.phase import rayleigh
 from irisjax.render.angular import AngularFunctions, surface_indices

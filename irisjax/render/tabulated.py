@@ -19,7 +19,7 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.portions import pixelwise
+from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.quadrature import gauss_legendre
 from irisjax.render import polynomials as products
 from irisjax.render.angular import AbstractAngular, AngularLight
@@ -36,7 +36,7 @@ from irisjax.transport.solution import RESULTS, worst
 from irisjax.transport.solver import AbstractSolver
 
 _COSINES = 48
-_PORTION = 24  # texels solved at a time
+_CHUNK = 24  # texels solved at a time
 
 
 Terms = tuple[tuple[Float[Array, "_ pixels"], ...], Float[Array, "functions pixels"] | None]
@@ -74,13 +74,13 @@ class AbstractTabulated(AbstractIntegrator):
         degrees = products.degrees_of(ranges, self.degrees)
         nodes, checks = products.scale_nodes(degrees)[0], products.between(degrees)
         # One loop over both: the solver is compiled once.
-        portions = [
+        chunks = [
             (jnp.asarray(points, bands.weights.dtype), *at)
             for every, at in zip((nodes, checks), directions.nodes(), strict=True)
-            for points in _portions(every, min(_PORTION, max(len(nodes), len(checks))))
+            for points in _chunks(every, min(_CHUNK, max(len(nodes), len(checks))))
         ]
         solve = self._solving(iris, aqueous_index, bands, ranges)
-        found, status = jax.lax.map(solve, jax.tree.map(lambda *x: jnp.stack(x), *portions))
+        found, status = jax.lax.map(solve, jax.tree.map(lambda *x: jnp.stack(x), *chunks))
         values = found[:-1].reshape(-1, *found.shape[2:])[: len(nodes)]
         out = TabulatedResponse(
             coefficients=products.of_products(directions.coefficients(values), degrees),
@@ -108,8 +108,8 @@ class AbstractTabulated(AbstractIntegrator):
         table = extinction(np.asarray(bands.wavelengths))
         made: Any = self.prepare(iris, aqueous_index, bands, ranges)
 
-        def solve(portion):
-            unit, into, exits = portion
+        def solve(chunk):
+            unit, into, exits = chunk
 
             def texel(x):
                 scales = products.scales_at_unit(x, ranges)
@@ -211,8 +211,8 @@ def _shaded(
     return products.summed(coefficients, scales, light if exits is None else light * exits)
 
 
-def _portions(points: np.ndarray, size: int) -> list[np.ndarray]:
-    """Points in equal portions, the last one filled up."""
+def _chunks(points: np.ndarray, size: int) -> list[np.ndarray]:
+    """Points in equal chunks, the last one filled up."""
     padded = np.pad(points, ((0, -len(points) % size), (0, 0)), mode="edge")
     return np.split(padded, len(padded) // size)
 

@@ -14,7 +14,7 @@ from irisjax.infer.noise import Noise
 from irisjax.infer.parameters import PARAMETERS
 from irisjax.infer.priors import LogNormal
 from irisjax.infer.problem import pointwise
-from irisjax.numerics import portions
+from irisjax.numerics import chunks
 from irisjax.tissue.scattering import POWER_LAW_LIMITS
 from irisjax.transport.defaults import table_for
 from irisjax.transport.solution import RESULTS
@@ -302,7 +302,7 @@ def test_densities_and_fits_do_not_depend_on_the_pieces(monkeypatch):
     # Its name, a static field, keeps programs compiled for other tests away.
     seen = ij.spectrum(GRID, values, name="in pieces")
     problem = ij.problem(seen, free=["melanin_load", "hemoglobin"], solver=BeerLambert())
-    monkeypatch.setattr(portions, "_ELEMENTS", 2 * GRID.size)  # of seven walkers one remains
+    monkeypatch.setattr(chunks, "_ELEMENTS", 2 * GRID.size)  # of seven walkers one remains
     z = jnp.asarray(np.random.default_rng(0).normal(size=(7, 2)))
     np.testing.assert_allclose(
         problem.log_density(z), [problem.log_posterior(x) for x in z], rtol=1e-12

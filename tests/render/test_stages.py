@@ -11,7 +11,7 @@ import pytest
 from common import operations
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.sclera import VeinMap
-from irisjax.numerics.portions import in_portions, pixelwise
+from irisjax.numerics.chunks import in_chunks, pixelwise
 from irisjax.render import outside, shading
 from irisjax.render.bands import colour_bands
 from irisjax.render.environment import Environment
@@ -143,15 +143,15 @@ def test_threads_change_no_bit(monkeypatch):
     np.testing.assert_array_equal(found[2], found[0])
 
 
-def test_portions_change_nothing():
+def test_chunks_change_nothing():
     """Small ones, as on a processor, or all pixels at once, as on an accelerator."""
     x = jnp.linspace(0.0, 9.0, 1000)
 
     def f(x):
         return jnp.stack([jnp.sin(x), jnp.cumsum(jnp.ones_like(x)) * 0 + x * x])
 
-    np.testing.assert_allclose(in_portions(f, x), f(x), rtol=1e-14)
-    slope = jax.grad(lambda x: in_portions(f, x).sum())(x)
+    np.testing.assert_allclose(in_chunks(f, x), f(x), rtol=1e-14)
+    slope = jax.grad(lambda x: in_chunks(f, x).sum())(x)
     np.testing.assert_allclose(slope, jnp.cos(x) + 2 * x, rtol=1e-12)
 
 

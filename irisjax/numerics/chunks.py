@@ -41,7 +41,7 @@ _SETTINGS = (
 )
 
 
-def in_portions(f: Callable[[P], T], pixels: P) -> T:
+def in_chunks(f: Callable[[P], T], pixels: P) -> T:
     """Apply `f` to a tree of arrays, one chunk of their last axis after the other.
 
     The last axis of the results is that of the pixels too. An accelerator gets all pixels at once:
@@ -73,7 +73,7 @@ class Pixelwise(Generic[P, *Rest, T]):
                 return f(some, *others)
 
             if shares == 1:
-                return in_portions(one, pixels)
+                return in_chunks(one, pixels)
             return _share_of(one, pixels, share, shares)
 
         chunked.__module__, chunked.__qualname__ = f.__module__, f.__qualname__
