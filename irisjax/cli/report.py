@@ -176,7 +176,7 @@ def write_groups(
         "converged": str(chains.converged),
         "steps": str(chains.steps),
         "every": str(groups.every),
-        "process": str(problem.process),
+        "process": option_of(problem.process),
         "priors": "; ".join(f"{n} ~ {p}" for n, p in priors),
         "fixed": "; ".join(f"{n} = {float(v):g}" for n, v in problem.fixed.items()),
         "irisjax": ij.__version__,

@@ -47,6 +47,8 @@ def test_one_eye_from_file_to_files(fitted):
     file = fitted.folder / "posterior.nc"
     with xr.open_dataset(file, group="posterior", engine="h5netcdf") as found:
         assert {"melanin_load", "hemoglobin"} <= set(found)
+        # By its name, which is the same whichever process of the machine wrote the file.
+        assert found.attrs["process"] == "ilit-2006"
     for name in ("fit.png", "corner.png"):
         assert (fitted.folder / name).read_bytes().startswith(b"\x89PNG")
 
