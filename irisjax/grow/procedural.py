@@ -84,15 +84,31 @@ def procedural(
     wanted = {name: value for name, value in given.items() if name not in general}
     for name, value in wanted.items():
         check_range(name, value, Range(0, math.inf))
-    # Absent features are not computed; how much there is of the others is no new program.
-    has = {name: jnp.asarray(value) for name, value in wanted.items() if value}
     if shape[0] < 16 or shape[1] < 8:
         raise ValueError(f"shape {shape} is below (16, 8)")
-    return IrisMaps(**_grow(iris, Eye() if eye is None else eye, shape, profile, has, key))
+    eye = Eye() if eye is None else eye
+    # Fibres cost most and are left out where there are none. How much there is of any feature is no
+    # new program: an eye of another colour grows by the program of the first.
+    counts = "crypts", "furrows", "freckles"
+    amounts = {k: jnp.asarray(v, None if k in counts else float) for k, v in wanted.items()}
+    maps = _grow(iris, eye, shape, profile, bool(fibres), amounts, key)
+    rough = fibres or collarette or crypts or ruff
+    absent = {
+        "stroma_depth": not (profile or rough),
+        "relief": not (relief and (rough or furrows or abl)),
+        "abl_depth": not abl,
+        "freckles": not freckles,
+        "eumelanin": not (heterochromia or patches),
+        "pheomelanin": not amber,
+    }
+    return IrisMaps(**{name: None if absent[name] else value for name, value in maps.items()})
 
 
 @eqx.filter_jit
-def _grow(iris: Iris, eye: Eye, shape, profile: bool, has, key) -> dict[str, NoiseField]:
+def _grow(
+    iris: Iris, eye: Eye, shape, profile: bool, fibrous: bool, much, key
+) -> dict[str, NoiseField]:
+    """All maps, with those of features of which there is nothing."""
     angles, radii = cell_centres(shape)
     turns, radius = jnp.broadcast_arrays(angles[:, None] / (2 * jnp.pi), radii)
     place = eye.from_axis(radius)
@@ -105,63 +121,50 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, has, key) -> dict[str, Noi
     bent = turns + 0.006 * slack * bend
     ring = COLLARETTE + _wander(wreath, turns)
     outside = smoothstep((radius - ring) / 0.05 + 0.5)
-    region = crest = rim = jnp.zeros_like(radius)
-    within, surface, maps = 0.0, jnp.zeros_like(radius), {}
-    if "crypts" in has:
-        region, parted = _crypts(crypts, turns, radius, mist, streak, has["crypts"])
-        bent += parted
-    if "furrows" in has:
-        crest = _furrows(furrows, turns, radius, has["furrows"])
+    region, parted = _crypts(crypts, turns, radius, mist, streak, much["crypts"])
+    bent += parted
+    crest = _furrows(furrows, turns, radius, much["furrows"])
+    within, surface = 0.0, jnp.zeros_like(radius)
     cords, gap = 0.45, 1.0
-    if "fibres" in has:
+    if fibrous:
         pitch = 2 * jnp.pi * place / FINEST  # fibres that find room round this ring
         mesh, cords, spokes = _fibres(fibres, bent, radius, ring, pitch, shape[0])
         gap = smoothstep((0.95 - cords) / 0.5)  # cords bridge an opening
         # Near the root the cords bend into arcs.
         root = jnp.exp(-((3 * arc) ** 2)) * smoothstep((radius - 0.6) / 0.3)
-        within = has["fibres"] * (0.8 * mesh + 0.35 * wool + 0.6 * root)
+        within = much["fibres"] * (0.8 * mesh + 0.35 * wool + 0.6 * root)
         upper = outside * 1.8 * (cords - 0.55) + (1 - outside) * 1.3 * (spokes - 0.6)
-        surface += has["fibres"] * ((1 + 0.5 * cloud) * upper + (mist + cloud + wide) / 4)
-    if "collarette" in has:
-        surface += has["collarette"] * _wreath(wreath, turns, radius, ring)
+        surface += much["fibres"] * ((1 + 0.5 * cloud) * upper + (mist + cloud + wide) / 4)
+    surface += much["collarette"] * _wreath(wreath, turns, radius, ring)
     hole = region * gap * jnp.minimum(1.0, 1.3 / slack)  # a wide pupil closes them
     surface -= 2.2 * hole
-    if "ruff" in has:
-        rim = _ruff(wreath, turns, radius)
-        within -= 2.5 * has["ruff"] * rim
+    rim = jnp.where(much["ruff"] > 0, _ruff(wreath, turns, radius), 0.0)
+    within -= 2.5 * much["ruff"] * rim
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
     stroma *= jnp.exp(surface + within)
-    stroma = _bounded(stroma, place, iris.stroma_thickness, STROMA)
-    rough = has.keys() & {"fibres", "collarette", "crypts", "ruff"}
-    if profile or rough:
-        maps["stroma_depth"] = stroma
-    share = has.get("relief", 0.0)
-    height = share * iris.stroma_thickness * _softened(jnp.tanh(surface))
-    if "abl" in has:
-        mottled = 0.35 * streak + 0.3 * cloud + 0.3 * crest - 0.6 * hole + 0.5 * (cords - 0.45)
-        thickness = jnp.maximum(1 + has["abl"] * mottled, 0.0)
-        maps["abl_depth"] = _bounded(thickness, place, iris.abl_thickness, ABL)
-        height += share * (maps["abl_depth"] - iris.abl_thickness)
-    if "relief" in has and (rough or has.keys() & {"furrows", "abl"}):
-        maps["relief"] = height + FOLD * jnp.minimum(slack, 2.0) * crest
-    if "freckles" in has:
-        maps["freckles"] = _freckles(freckles, turns, place, eye, mist + wool, has["freckles"])
-    if "heterochromia" in has:
-        reach = ring + 0.14 + 0.15 * cloud + 0.25 * streak
-        inner = smoothstep((reach - radius) / 0.25 + 0.5)
-        maps["eumelanin"] = 1 + has["heterochromia"] * inner * (1 + 0.7 * mist)
-    if "amber" in has:
-        reach = ring + 0.3 + 0.2 * wide - 0.2 * cloud + 0.2 * streak
-        inner = smoothstep((reach - radius) / 0.5 + 0.5)
-        maps["pheomelanin"] = 1 + has["amber"] * inner * (1 + 0.5 * mist)
-    if "patches" in has:
-        root = smoothstep((radius - 0.86 + 0.12 * cloud) / 0.16)
-        dark = cloud + 0.7 * wide + 0.5 * mist + 0.5 * streak + 0.9 * root
-        dark += 2.0 * rim - 0.8 * (cords - 0.45)
-        maps["eumelanin"] = maps.get("eumelanin", 1.0) * jnp.exp(has["patches"] * dark)
-    for melanin in maps.keys() & {"eumelanin", "pheomelanin"}:
-        maps[melanin] = _bounded(maps[melanin], place, 1.0, MELANIN)
-    return maps
+    mottled = 0.35 * streak + 0.3 * cloud + 0.3 * crest - 0.6 * hole + 0.5 * (cords - 0.45)
+    thickness = _bounded(
+        jnp.maximum(1 + much["abl"] * mottled, 0.0), place, iris.abl_thickness, ABL
+    )
+    uneven = iris.stroma_thickness * _softened(jnp.tanh(surface)) + thickness - iris.abl_thickness
+    reach = ring + 0.14 + 0.15 * cloud + 0.25 * streak
+    inner = smoothstep((reach - radius) / 0.25 + 0.5)
+    brown = 1 + much["heterochromia"] * inner * (1 + 0.7 * mist)
+    root = smoothstep((radius - 0.86 + 0.12 * cloud) / 0.16)
+    dark = cloud + 0.7 * wide + 0.5 * mist + 0.5 * streak + 0.9 * root
+    dark += 2.0 * rim - 0.8 * (cords - 0.45)
+    brown *= jnp.exp(much["patches"] * dark)
+    reach = ring + 0.3 + 0.2 * wide - 0.2 * cloud + 0.2 * streak
+    inner = smoothstep((reach - radius) / 0.5 + 0.5)
+    yellow = 1 + much["amber"] * inner * (1 + 0.5 * mist)
+    return {
+        "stroma_depth": _bounded(stroma, place, iris.stroma_thickness, STROMA),
+        "abl_depth": thickness,
+        "relief": much["relief"] * uneven + FOLD * jnp.minimum(slack, 2.0) * crest,
+        "freckles": _freckles(freckles, turns, place, eye, mist + wool, much["freckles"]),
+        "eumelanin": _bounded(brown, place, 1.0, MELANIN),
+        "pheomelanin": _bounded(yellow, place, 1.0, MELANIN),
+    }
 
 
 def stroma_profile(radius: NoiseField) -> NoiseField:
