@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 
@@ -16,6 +18,7 @@ from irisjax.cli.sentences import interval
 from irisjax.infer.model_comparison import Interval
 from irisjax.infer.parameters import unit_of
 from irisjax.infer.populations import KERNELS, PRIOR, population
+from irisjax.infer.priors import AbstractPrior
 from irisjax.infer.repeatability import agreement, intraclass_correlation
 from irisjax.io.fits import FittedEyes, read_fits
 
@@ -78,6 +81,11 @@ def _check_alike(one: FittedEyes, two: FittedEyes) -> None:
         raise ValueError(f"the groups were fitted with different priors of {other[0]}")
 
 
+@eqx.filter_jit
+def _values(prior: AbstractPrior, z: Any) -> Any:
+    return jax.tree.map(prior.value, z)
+
+
 def _compared(one: FittedEyes, two: FittedEyes, seed: int) -> tuple[list[str], list[_Row]]:
     """Remarks, and a row for each parameter."""
     key = opt.key_of(seed)
@@ -95,10 +103,10 @@ def _compared(one: FittedEyes, two: FittedEyes, seed: int) -> tuple[list[str], l
         eyes = {}
         for i, (name, prior) in enumerate(one.priors.items()):
             mean, sd = group.mean[:, i], group.spread[:, i]
-            means[name] = np.asarray(prior.value(mean))
-            spreads[name] = np.asarray(prior.value(mean + sd) - prior.value(mean - sd)) / 2
+            middle, low, high = map(np.asarray, _values(prior, (mean, mean - sd, mean + sd)))
+            means[name], spreads[name] = middle, (high - low) / 2
             if name in _PRODUCT:
-                eyes[name] = np.asarray(prior.value(mean[:, None] + off[..., i]))
+                eyes[name] = np.asarray(_values(prior, mean[:, None] + off[..., i]))
         if len(eyes) == len(_PRODUCT):
             low, high = np.percentile(np.prod(list(eyes.values()), axis=0), (16, 84), axis=1)
             spreads["abl_melanin"] = (high - low) / 2

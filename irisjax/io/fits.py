@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -135,14 +136,17 @@ def _drawn(path: Path, priors: Mapping[str, AbstractPrior]) -> np.ndarray:
 
     with h5netcdf.File(path) as file:
         found = file["posterior"].variables
-        every = [prior.standard(np.ravel(found[n])) for n, prior in priors.items()]
+        every = [_in_standard(prior, np.ravel(found[n]))[0] for n, prior in priors.items()]
     at = np.linspace(0, every[0].size - 1, KERNELS).astype(int)
     return np.stack([np.asarray(x)[at] for x in every], axis=1)
 
 
-def _in_standard(prior: AbstractPrior, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+@eqx.filter_jit
+def _in_standard(
+    prior: AbstractPrior, values: np.ndarray | jax.Array
+) -> tuple[jax.Array, jax.Array]:
     z = prior.standard(jnp.asarray(values))
-    return np.asarray(z), np.asarray(jax.jvp(prior.value, (z,), (jnp.ones_like(z),))[1])
+    return z, jax.jvp(prior.value, (z,), (jnp.ones_like(z),))[1]
 
 
 def _rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
