@@ -116,6 +116,12 @@ FILES = {
     "with_sd.csv": "wavelength (nm),reflectance (%),sd\n"
     + rows(",", X, 100 * R, 100 * (0.02 * R + 2e-4)),
     "scans.csv": "nm,R1 (%),R2 (%),R3 (%)\n" + rows(",", X, *(100 * SCANS)),
+    "long.csv": "eye,wavelength,reflectance,sd\n"
+    + "\n".join(
+        f"{eye},{x:g},{v:.5g},{0.02 * v + 2e-4:.5g}"
+        for eye, values in (("left", R), ("right", MODERATE))
+        for x, v in zip(X, values, strict=True)
+    ),
     "excel_german.csv": "Wellenlänge;Remission (%)\r\n" + rows(";", X, 100 * R, decimal=","),
     "excel_unicode.txt": "Wavelength\tReflectance %\r\n" + rows("\t", X, 100 * R),
     "oceanview.txt": PREAMBLE + rows("\t", X, 100 * R),

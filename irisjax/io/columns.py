@@ -13,7 +13,9 @@ ABSORBANCE, KUBELKA_MUNK = "absorbance", "kubelka-munk"
 QUANTITIES = (REFLECTANCE, RADIANCE, ABSORBANCE, KUBELKA_MUNK)
 """Roles whose columns can become a spectrum."""
 
-_SD, _MEAN, _STATISTIC = "standard deviation", "mean", "statistic"
+SD = "standard deviation"
+"""Role of a standard deviation."""
+_MEAN, _STATISTIC = "mean", "statistic"
 _TRANSMITTANCE = "transmittance"
 _OTHER, _LN = "another quantity", "natural logarithm"
 _OD = "optical density or right eye"  # oculus dexter, the right one where OS is there too
@@ -33,7 +35,7 @@ _FORMS = {
     "arbitrary units": r"arbitrary|^(?!.*absor).*\ba\.\s?u\.",
     _STATISTIC: rf"{_BEFORE}(min|max|minimum|maximum|variance|covariance|range|n|snr|skew|flags?|"
     rf"quality|ci|q[13]|quartile|percentile){_AFTER}",
-    _SD: rf"{_BEFORE}({_SD_WORDS}){_AFTER}",
+    SD: rf"{_BEFORE}({_SD_WORDS}){_AFTER}",
     _OTHER: r"(absorption|scattering|extinction|attenuation)\W+coeff|\b[mµμ]u?_?[as]\b|epsilon|"
     r"\bbrdf\b|absorptance|(?-i:^A\W*%)|\bdB\b|1\s*-\s*R\b|volt|photocurrent|fluoresc|luminescen|"
     r"\bemission|\bpower\b|[\[(]([mkµμn]?(?-i:[VJ])|[mµμn]A|1/[mc]?m|[mc]?m\W?-1)\b",
@@ -52,7 +54,7 @@ _FORMS = {
     r"z[äa]hler|cuentas",
     _MEAN: rf"{_BEFORE}(mean|median|average|avg|mittel(wert)?|moyenne|media|promedio|平均){_AFTER}",
 }
-SPECTRAL_ROLES = (*QUANTITIES, "irradiance", "counts", "dark signal", _SD)
+SPECTRAL_ROLES = (*QUANTITIES, "irradiance", "counts", "dark signal", SD)
 """Roles of columns of a spectrum, which no sensitivity has."""
 _REFUSALS = {
     RADIANCE: "a radiance; give --quantity radiance",
@@ -148,7 +150,7 @@ def eyes_of(table: Columns) -> dict[str, list[int]]:
     roles = _roles_of(table)
     spectra = _values_among(roles)
     for j, role in roles.items():
-        if j in spectra or (role == _SD and _owner(j, spectra, table) is None):
+        if j in spectra or (role == SD and _owner(j, spectra, table) is None):
             found.setdefault(_title(table, j), []).append(j)
     return found
 
@@ -169,8 +171,9 @@ def _spectra(table: Columns, roles: dict[int, str], wanted: str | None) -> list[
     spectra = [j for j in others if role is None or others[j] == role]
     if not spectra:
         raise ValueError(f"{_listed(table, roles)}; need one spectrum, such as a reflectance")
-    stated = [_owner(j, spectra, table) for j in roles if roles[j] == _SD and len(spectra) > 1]
+    stated = [_owner(j, spectra, table) for j in roles if roles[j] == SD and len(spectra) > 1]
     own = len(set(stated) & set(spectra)) > 1  # each has its standard deviation
+    own |= table.samples and len({table.names[j] for j in spectra}) > 1
     if len(spectra) > 1 and (own or not _one_thing(table, spectra)):
         raise ValueError(
             f"{_listed(table, roles)}: these are no scans of one spectrum, whose names would "
@@ -181,20 +184,20 @@ def _spectra(table: Columns, roles: dict[int, str], wanted: str | None) -> list[
 
 def _deviations_of(spectra: list[int], table: Columns, roles: dict[int, str]) -> list[int]:
     """The standard deviations that belong to a spectrum; of several scans there is none."""
-    stated = [j for j, role in roles.items() if role == _SD and len(spectra) == 1]
+    stated = [j for j, role in roles.items() if role == SD and len(spectra) == 1]
     return [j for j in stated if _owner(j, _values_among(roles), table) in spectra]
 
 
 def _values_among(roles: dict[int, str]) -> list[int]:
     """Columns that hold measured values."""
-    return [j for j, role in roles.items() if role not in (_SD, _STATISTIC)]
+    return [j for j, role in roles.items() if role not in (SD, _STATISTIC)]
 
 
 def _owner(j: int, spectra: list[int], table: Columns) -> int | None:
     """The spectrum to which a standard deviation belongs: that of the rest of its name, or else the
     only one, or else the one just before it.
     """
-    rest = _plain(re.sub(_FORMS[_SD], " ", table.names[j], flags=re.I))
+    rest = _plain(re.sub(_FORMS[SD], " ", table.names[j], flags=re.I))
     plain = {k: _plain(re.sub(_FORMS[_MEAN], " ", table.names[k], flags=re.I)) for k in spectra}
     named = [k for k in spectra if rest and rest in (plain[k], _plain(table.names[k]))]
     if len(named) == 1:
@@ -215,6 +218,8 @@ def _one_thing(table: Columns, columns: list[int]) -> bool:
     if names != {""} and (len(names) == 1 or _numbered(names)):
         middle = np.median(values, axis=0) if len(values) else np.ones(1)
         return bool(np.ptp(middle) <= _APART * np.abs(np.median(middle)))
+    if not len(values):
+        return False
     off = values - np.median(values, axis=1, keepdims=True)
     size = np.abs(np.median(values)) or 1.0
     if names == {""}:
@@ -242,8 +247,13 @@ def _numbered(names: set[str]) -> bool:
 def _named(table: Columns, wanted: str, roles: dict[int, str]) -> list[int]:
     """The columns of this name, or of the only one that contains it."""
     names = {j: _title(table, j) for j in roles}
-    for same in (lambda n: n == wanted, lambda n: wanted.lower() in n.lower()):
-        found = [j for j, name in names.items() if same(name)]
+    begins, part = f"{wanted} ".lower(), wanted.lower()
+    for same in (
+        lambda j: names[j] == wanted,
+        lambda j: names[j].lower().startswith(begins) and roles[j] != SD,
+        lambda j: part in names[j].lower(),
+    ):
+        found = [j for j in names if same(j)]
         if len({names[j] for j in found}) == 1:
             return found
     number = "no column" if not found else "more than one column"

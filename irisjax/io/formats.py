@@ -12,7 +12,20 @@ from typing import Any
 
 import numpy as np
 
-from irisjax.io.text import Columns, decoded, read_columns
+from irisjax.io.columns import SD, role_of
+from irisjax.io.text import (
+    HEADER,
+    LABEL,
+    CellUnits,
+    Columns,
+    cells_of,
+    counts,
+    decoded,
+    number_of,
+    read_columns,
+    units_of,
+    with_units,
+)  # fmt: skip
 
 WAVELENGTH = re.compile(
     r"wave|wvl|wellenl|longueurs? d.onde|longitud|lunghezza d.onda|波長|^\W*(λ|lambda|nm\W*\d*$)",
@@ -54,6 +67,8 @@ _BOXCAR = re.compile(r"^\W*boxcar(?: width| smoothing)?\W*[:=\t ]\s*(\d+)\s*$", 
 _REPEATED = re.compile(r"([@%A-Ra-r+-]\d*)([S-Zs])(\d*)")
 _JAZ = {"W": "nm", "D": "dark", "R": "reference", "S": "sample counts", "P": "Processed"}
 _SVC = ("wavelength (nm)", "radiance of the reference", "radiance", "reflectance (%)")
+# Titles of columns that number the measurements of one sample.
+_REPEAT = re.compile(r"scan|\brep(eat\w*|licate|etition)?\b|measurement|\brun\b|wiederholung", re.I)
 # Inverse adding-doubling: the columns that a number of them stands for, and those that are read.
 _IAD_ORDER, _IAD_PARAMETERS = "rtuwWRT", 17
 _IAD = {"L": "wavelength (nm)", "r": "M_R", "t": "M_T", "u": "M_U (unscattered transmittance)"}
@@ -79,6 +94,8 @@ def read_spectral_table(path: str | Path) -> Columns:
     text = decoded(data)
     if text is None:
         raise ValueError("not a text file; export the spectrum as text, CSV, JCAMP-DX or .xlsx")
+    if re.match(r"\s*<(\?xml|\w*:?CxF)\b", text):
+        raise ValueError("XML, such as CxF, is not read; export the spectrum as CGATS or CSV")
     if re.match(r"\s*##\s*TITLE", text, re.I):
         return _jcamp(text)
     if re.match(r"/\*+ Spectra Vista", text):
@@ -87,7 +104,7 @@ def read_spectral_table(path: str | Path) -> Columns:
         return _iad(text)
     if re.search(r"^BEGIN_DATA_FORMAT", text, re.M):
         text = _cgats(text)
-    table = read_columns(text)
+    table = _table(text)
     at = re.match(r"line (\d+)", table.where[0])
     above = text.splitlines()[: int(at[1]) - 1] if at else []
     if not re.search("refle", " ".join(above), re.I):
@@ -98,6 +115,80 @@ def read_spectral_table(path: str | Path) -> Columns:
     return _with_wavelengths_first(table)
 
 
+def _table(text: str) -> Columns:
+    """The table of a text: a spectrum a column or a row, or a line for each of its values."""
+    lines = [
+        (number, line)
+        for number, line in enumerate(text.splitlines(), 1)
+        if line.strip() and not line.lstrip().startswith("#")
+    ]
+    for separator in ("\t", ";", ",", None):
+        titles = cells_of(lines[0][1], separator) if lines else []
+        if len(titles) < 2 or sum(bool(WAVELENGTH.search(t)) for t in titles) != 1:
+            continue
+        rows = [(number, cells_of(line, separator)) for number, line in lines[1:]]
+        if found := _long(titles, rows):
+            return found._replace(header=dict(HEADER.findall(text)))
+    return read_columns(text)
+
+
+def _long(titles: list[str], rows: list[tuple[int, list[str]]]) -> Columns | None:
+    """A table with a line for each wavelength of each sample; `None` for one of another kind.
+
+    Columns of text, and numbers that a title calls those of samples or scans, tell the spectra
+    apart. All but the numbers of scans name them, so that scans of a sample have one name.
+    """
+    if rows and all(len(cells) == len(titles) + 1 for _, cells in rows):
+        titles = ["", *titles]  # R's names of rows have no title
+    if not rows or any(len(cells) != len(titles) for _, cells in rows):
+        return None
+    at = next(j for j, title in enumerate(titles) if WAVELENGTH.search(title))
+    again = len({cells[at] for _, cells in rows}) < len(rows)
+    called = [again and bool(LABEL.search(t) or _REPEAT.search(t)) for t in titles]
+    first = [number_of(cell, True) is None for cell in rows[0][1]]
+    if not any(t and (a or b) for t, a, b in zip(titles, called, first, strict=True)):
+        return None
+    columns = {j: [cells[j] for _, cells in rows] for j, title in enumerate(titles) if title}
+    labels, numbers, faults = [], {}, []
+    for j, column in columns.items():
+        numbers[j] = np.array([number_of(cell, True) for cell in column], float)
+        text = [number_of(cell, True) is None for cell in column]
+        if j != at and (called[j] or sum(text) > np.isfinite(numbers[j]).sum()):
+            labels.append(j)
+        elif any(text):
+            faults.append((rows[text.index(True)][0], column[text.index(True)]))
+    used = [at, *(j for j in columns if j not in (at, *labels))]
+    if not labels or len(used) < 2:
+        return None
+    for number, cell in faults:
+        raise ValueError(f"line {number}: {cell!r} is not a number")
+    units: CellUnits = [None] * len(used)
+    for number, cells in rows:
+        units = units_of([cells[j] for j in used], units, f"line {number}")
+    names = with_units([titles[j] for j in used], units)
+    if not again:  # other texts are remarks or times
+        named = [j for j in labels if LABEL.search(titles[j]) or any(map(role_of, columns[j]))]
+        labels = named or [j for j in labels if len(set(columns[j])) == 1]
+    parts = [j for j in labels if not _REPEAT.search(titles[j])]
+    parts = [j for j in parts if len(set(columns[j])) > 1 or _tells(columns[j][0])] or parts[:1]
+    groups: dict[tuple[str, ...], list[int]] = {}
+    for i, (_, cells) in enumerate(rows):
+        groups.setdefault(tuple(cells[j] for j in labels), []).append(i)
+    spectra = []
+    for own in groups.values():
+        of = " ".join(columns[j][own[0]] for j in parts)
+        for j, name in zip(used[1:], names[1:], strict=True):
+            # A deviation belongs to the first values.
+            value = f"{names[1]} " if j != used[1] and role_of(name) == SD else ""
+            spectra.append((f"{of} {value}{name}".strip(), numbers[at][own], numbers[j][own]))
+    return _joined(names[0], spectra)._replace(samples=True)
+
+
+def _tells(cell: str) -> bool:
+    """Whether a text says what the values are."""
+    return bool(role_of(cell)) or "%" in cell
+
+
 def _with_wavelengths_first(table: Columns) -> Columns:
     """The column of wavelengths, named so or else the first, in front of the others. Several such
     columns are those of the columns that follow each.
@@ -105,7 +196,8 @@ def _with_wavelengths_first(table: Columns) -> Columns:
     if sorted(table.names) == sorted(_JAZ):
         table = _jaz(table)
     named = [j for j, name in enumerate(table.names) if WAVELENGTH.search(name)] or [0]
-    others = [j for j in range(len(table.names)) if j not in named]
+    unnamed = [j for j, name in enumerate(table.names) if not name and counts(table.values[:, j])]
+    others = [j for j in range(len(table.names)) if j not in (*named, *unnamed)]
     by_number = [j for j in named if UNITS["1/cm"].search(table.names[j])]
     if len(by_number) < len(named):  # the same once more
         named = [j for j in named if j not in by_number]
@@ -157,7 +249,7 @@ def _excel(data: bytes) -> Columns:
     for title, rows in sheets.items():
         lines = ["\t".join("" if v is None else str(v).strip() for v in row) for row in rows]
         try:
-            found[title] = read_columns("\n".join(lines))
+            found[title] = _table("\n".join(lines))
         except ValueError as error:
             faults.append(f"sheet {title!r}, {error}")
     if len(found) > 1:
@@ -247,6 +339,8 @@ def _jcamp(text: str) -> Columns:
     """The blocks of a JCAMP-DX file that hold a spectrum."""
     spectra: list[tuple[str, np.ndarray, np.ndarray]] = []
     units, notes = set(), []
+    if re.search(r"^##\s*NTUPLES\s*=", text, re.M | re.I):
+        raise ValueError("JCAMP-DX with NTUPLES is not read; export a spectrum alone, or CSV")
     for lines in _blocks(text):
         found, printed = _jcamp_block(lines)
         x, y = np.asarray(found.get("x", ()), float), np.asarray(found.get("y", ()), float)

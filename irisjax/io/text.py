@@ -20,14 +20,22 @@ _LAYOUTS = (
 )
 # Ocean Insight: what stands between these lines is the spectrum.
 _BEGIN, _END = re.compile(r"^>+\s*Begin\b", re.I), re.compile(r"^>+\s*End\b", re.I)
-_WAVELENGTH = re.compile(r"^(?P<of>.*?)\s*[\[(]?(?P<nm>\d{3,4}(?:\.\d+)?)\s*(?:nm)?[\])]*$", re.I)
+_WAVELENGTH = re.compile(
+    r"^(?P<of>.*?)\s*[\[(]?(?P<nm>\d{3,4}(?:\.\d+)?)\s*[\[(]?(?:nm)?[\])]*"
+    r"(?:[\s_(\[]+(?P<kind>SC[IE])[\])]*)?$",
+    re.I,
+)
 _BLANKS = r"[^\S\n]*"
 HEADER = re.compile(
     rf"^#{_BLANKS}([^:\n]+?){_BLANKS}:{_BLANKS}(.*?)(?:{_BLANKS}\[[^\[\]\n]*\])?{_BLANKS}$", re.M
 )
 """Lines `# key: value [remark]`."""
 _FEWEST = 5  # wavelengths in a line that names columns by them
-_LABEL = re.compile(r"name|sample|title|label|\bid\b|eye|probe|muestra|échantillon", re.I)
+LABEL = re.compile(
+    r"name|sample|title|label|\bid\b|eye|subject|patient|probe|auge|muestra|échantillon", re.I
+)
+"""What headers call the name of a sample."""
+_UNIT_OF_CELL = re.compile(r"(?<=[\d.,])\s*(%|nm)$")  # some programs write it beside each number
 # Preambles that state the units of two unnamed columns, as JASCO and spectral libraries do.
 _UNITS = re.compile(
     r"^\W*([XY])[- _]*(?:axis[- _]*)?(?:units?|(?<=axis))\s*[:=\t;, ]\s*([^\d\s].*?)[\s,;]*$",
@@ -37,6 +45,8 @@ _UNITS = re.compile(
 _LONE_UNIT = re.compile(r"^(%\s*[RT]|A|ABS|Abs)$")
 
 _Lines = list[tuple[int, str]]  # with their numbers
+CellUnits = list[str | None]
+"""Units that stand beside the numbers of each column; `None` of a column without a number."""
 _Rows = tuple[np.ndarray, list[str], list[str], tuple[str, ...]]  # as in `Columns`
 
 
@@ -49,6 +59,7 @@ class Columns(NamedTuple):
         where: Where each row stands, for messages.
         header: Lines `# key: value`.
         notes: What was left out.
+        samples: Whether columns of different names are of different samples, as the file says.
     """
 
     values: np.ndarray
@@ -56,14 +67,20 @@ class Columns(NamedTuple):
     where: list[str]
     header: dict[str, str]
     notes: tuple[str, ...] = ()
+    samples: bool = False
 
 
 def decoded(data: bytes) -> str | None:
-    """Text in UTF-8, UTF-16 (with its mark), Windows' western code page or Shift-JIS, without the
-    NULs that pad some instruments' lines; `None` if it is no text.
+    """Text in UTF-8, UTF-16, Windows' western code page or Shift-JIS; `None` if it is no text.
+
+    NULs that pad the lines of some instruments are left out.
     """
     wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
-    for encoding in ("utf-16",) if wide else ("utf-8-sig", "cp1252", "cp932"):
+    bare = len(data) > 1 and not any(data[1:64:2])  # Latin letters without the mark
+    encodings = (
+        ("utf-16",) if wide else ("utf-16-le",) if bare else ("utf-8-sig", "cp1252", "cp932")
+    )
+    for encoding in encodings:
         try:
             text = data.decode(encoding)
         except UnicodeDecodeError:
@@ -100,7 +117,7 @@ def read_columns(text: str) -> Columns:
 
 def _rows_of_numbers(lines: _Lines) -> _Rows:
     def widths(separator: str | None, comma: bool) -> dict[int, int]:
-        rows = (_numbers(_cells(line, separator), comma) for _, line in lines)
+        rows = (_numbers(cells_of(line, separator), comma) for _, line in lines)
         return {i: len(row) for i, row in enumerate(rows) if row is not None and len(row) > 1}
 
     separator, comma = max(_LAYOUTS, key=lambda layout: len(widths(*layout)))
@@ -111,25 +128,29 @@ def _rows_of_numbers(lines: _Lines) -> _Rows:
     width = max(found.values(), key=list(found.values()).count)
     first, last = next(i for i, n in found.items() if n == width), max(found)
     for number, line in lines[max(first - 1, 0) : first]:  # a faulty row, no names
-        cells = _cells(line, separator)
-        if len(cells) == width and np.isfinite(_number(cells[0], comma) or np.nan):
-            wrong = next(c for c in cells if _number(c, comma) is None)
+        cells = cells_of(line, separator)
+        if len(cells) == width and np.isfinite(number_of(cells[0], comma) or np.nan):
+            wrong = next(c for c in cells if number_of(c, comma) is None)
             raise ValueError(f"line {number}: {wrong!r} is not a number")
     values, where, below = [], [], lines[last + 1 :]
+    units: CellUnits = [None] * width
     for number, line in lines[first:]:
-        cells = _cells(line, separator)
-        if number > lines[last][0] and _number(cells[0], comma) is None:
+        cells = cells_of(line, separator)
+        if number > lines[last][0] and number_of(cells[0], comma) is None:
             continue  # below the table, a row that begins with a number is a faulty one
         row = _numbers(cells, comma)
         if len(cells) != width and (row is not None or number > lines[last][0]):
             raise ValueError(f"line {number}: {len(cells)} values, {width} in the lines before")
         if row is None:
-            wrong = next((c for c in cells if _number(c, comma) is None), cells[0])
+            wrong = next((c for c in cells if number_of(c, comma) is None), cells[0])
             raise ValueError(f"line {number}: {wrong!r} is not a number")
+        units = units_of(cells, units, f"line {number}")
         values.append(row)
         where.append(f"line {number}")
-    names = _names([_cells(line, separator) for _, line in lines[:first]], width)
-    table = np.array(values)
+    table, above = np.array(values), [cells_of(line, separator) for _, line in lines[:first]]
+    if above and len(above[-1]) == width - 1 and counts(table[:, 0]):
+        above[-1].insert(0, "")  # R's names of rows have no title
+    names = with_units(_names(above, width), units)
     kept = [j for j in range(width) if names[j] or np.isfinite(table[:, j]).any()]
     return table[:, kept], [names[j] for j in kept], where, _left_out(below)
 
@@ -199,7 +220,7 @@ def _names_said(text: str, every: _Lines, where: list[str], width: int) -> list[
     above = every[at - 1][1].strip() if at else ""
     if above.startswith("#"):
         for separator in ("\t", ";", ",", None):
-            names = _cells(above.lstrip("# "), separator)
+            names = cells_of(above.lstrip("# "), separator)
             if len(names) == width:
                 return names
     # ENVI: "Column 2: name~~1##255,0,0"; USGS: "wavelength   reflectance   standard deviation".
@@ -222,16 +243,16 @@ def _rows_of_spectra(lines: _Lines) -> _Rows | None:
     wavelengths where the line names several kinds (specular in- and excluded, for one).
     """
     for i, separator in itertools.product(range(min(len(lines), 60)), ("\t", ";", ",")):
-        titles = _cells(lines[i][1], separator)
+        titles = cells_of(lines[i][1], separator)
         groups = _by_wavelength(titles)
         if not groups:
             continue
-        rows = [(number, _cells(line, separator)) for number, line in lines[i + 1 :]]
+        rows = [(number, cells_of(line, separator)) for number, line in lines[i + 1 :]]
         until = next((k for k, row in enumerate(rows) if not _has_spectra(row[1], groups)), None)
         rows, below = rows[:until], [] if until is None else lines[i + 1 + until :]
         if not rows:
             continue
-        for number, cells in [(n, _cells(line, separator)) for n, line in below]:
+        for number, cells in [(n, cells_of(line, separator)) for n, line in below]:
             if len(cells) >= len(titles):
                 raise ValueError(f"line {number}: not a number for each wavelength")
         return (*_spectra_of(titles, groups, rows), _left_out(below))
@@ -259,7 +280,11 @@ def _spectra_of(
             values = dict(zip(places, found, strict=True))
             columns.append(np.array([values.get(x, np.nan) for x in every]))
             kind = name if len(groups) > 1 or not label else ""
-            names.append(" ".join(part for part in (label, kind) if part))
+            units: CellUnits = [None]
+            for j in places.values():
+                units = units_of([cells[j]], units, f"column {titles[j]}")
+            title = " ".join(part for part in (label, kind) if part)
+            names += with_units([title], units)
     return np.stack(columns, 1), names, [f"column {x:g} nm" for x in every]
 
 
@@ -273,8 +298,8 @@ def _has_spectra(cells: list[str], groups: dict[str, dict[float, int]]) -> bool:
 
 def _label(titles: list[str], cells: list[str]) -> str:
     """The name that a row's first cells give its spectrum, empty if there is none."""
-    text = [(t, c) for t, c in zip(titles, cells, strict=False) if c and _number(c, True) is None]
-    named = [c for t, c in text if _LABEL.search(t)]
+    text = [(t, c) for t, c in zip(titles, cells, strict=False) if c and number_of(c, True) is None]
+    named = [c for t, c in text if LABEL.search(t)]
     return named[-1] if named else text[0][1] if text else ""
 
 
@@ -284,7 +309,8 @@ def _by_wavelength(cells: list[str]) -> dict[str, dict[float, int]]:
     for j, cell in enumerate(cells):
         match = _WAVELENGTH.match(cell)
         if match and 200 <= float(match["nm"]) <= 2600:
-            groups.setdefault(match["of"].strip(" ([_-"), {})[float(match["nm"])] = j
+            name = match["of"].strip(" ([_-") or match["kind"] or ""
+            groups.setdefault(name, {})[float(match["nm"])] = j
     return {
         name: places
         for name, places in groups.items()
@@ -292,22 +318,56 @@ def _by_wavelength(cells: list[str]) -> dict[str, dict[float, int]]:
     }
 
 
-def _cells(line: str, separator: str | None) -> list[str]:
-    cells = line.split() if separator is None else next(csv.reader([line], delimiter=separator))
-    return [cell.strip() for cell in cells]
+def cells_of(line: str, separator: str | None) -> list[str]:
+    """Split a line at its separators (`None`: blanks), except in quotes."""
+    if separator is None:
+        if '"' not in line[1:-1]:  # nor round the whole line, as StellarNet writes names
+            return line.strip('"').split()
+        return [quoted or bare for quoted, bare in re.findall(r'"([^"]*)"|(\S+)', line)]
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator))]
+
+
+def counts(column: np.ndarray) -> bool:
+    """Whether numbers are those of rows, from 0 or 1."""
+    start = column[0] if len(column) > 2 else np.nan
+    return bool(start in (0, 1) and (column == np.arange(start, start + len(column))).all())
+
+
+def units_of(cells: list[str], before: CellUnits, where: str) -> CellUnits:
+    """The unit beside the number of each cell, which must be that of the rows before."""
+    found: CellUnits = []
+    for cell, other in zip(cells, before, strict=True):
+        unit = _UNIT_OF_CELL.search(cell)
+        own = None if cell.lower() in _MISSING else unit[1] if unit else ""
+        if None not in (own, other) and own != other:
+            stated = f"{own or 'no unit'} where the cells before have {other or 'none'}"
+            raise ValueError(f"{where}: {cell!r} has {stated}")
+        found.append(other if own is None else own)
+    return found
+
+
+def with_units(names: list[str], units: CellUnits) -> list[str]:
+    """Names with the units that stand in the cells; a cell without one beside per cent has 1."""
+    marks = {"%": " (%)", "nm": " (nm)", "": " [1]" if "%" in units else "", None: ""}
+    return [
+        name if "%" in name else f"{name}{marks[unit]}".lstrip()
+        for name, unit in zip(names, units, strict=True)
+    ]
 
 
 def _numbers(cells: list[str], comma: bool) -> list[float] | None:
     """Numbers of a row, NaN for what is missing beside the first; `None` if it is no such row."""
-    found = [_number(cell, comma) for cell in cells]
+    found = [number_of(cell, comma) for cell in cells]
     row = [value for value in found if value is not None]
     return row if row and len(row) == len(found) and not np.isnan(row[0]) else None
 
 
-def _number(cell: str, comma: bool) -> float | None:
-    """NaN for a missing number, `None` for what is none."""
+def number_of(cell: str, comma: bool) -> float | None:
+    """NaN for a missing number, `None` for what is none; a unit beside the number is left out."""
     if cell.lower() in _MISSING:
         return np.nan
+    if cell[-1] in "%m":
+        cell = _UNIT_OF_CELL.sub("", cell)
     try:
         value = float(cell.replace(",", ".") if comma else cell)
     except ValueError:

@@ -82,7 +82,7 @@ def test_layouts_of_instruments(tmp_path, name):
     np.testing.assert_allclose(found.values, Y, rtol=1e-5)
 
 
-@pytest.mark.parametrize("encoding", ["cp1252", "utf-16"])
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-16", "utf-16-le"])
 def test_encodings_of_offices(tmp_path, encoding):
     text = "Wellenlänge;Remission (%)\r\n" + rows(";", X, 100 * Y, decimal=",")
     found = io.read_measured(written(tmp_path, text, encoding))
@@ -401,6 +401,70 @@ ROLES = {
     "scans of a numbered eye": (
         "nm,eye1 0001,eye1 0002\n" + rows(",", GRID, 1.1 * R, 0.9 * R), {}, True, "mean of 2 scans"
     ),
+    "a unit in each cell": (
+        "Name;Wellenlänge;Remission\n"
+        + "\n".join(f"eye;{x:.0f} nm;{100 * y:.6g} %".replace(".", ",") for x, y in zip(GRID, R, strict=True)),
+        {},
+        False,
+        "",
+    ),
+    "R's names of rows": (
+        '"wavelength" "value"\n'
+        + "\n".join(f'"{i}" {x} {y:.6g}' for i, (x, y) in enumerate(zip(GRID, R, strict=True), 1)),
+        {},
+        False,
+        "",
+    ),
+    "a sample in a long table": (
+        '"","sample","date","wavelength","value","sd"\n'
+        + "\n".join(
+            f'"{i}","eye, left","2024-03-04",{x},{y:.6g},{s:.6g}'
+            for i, (x, y, s) in enumerate(zip(GRID, R, SD, strict=True), 1)
+        ),
+        {},
+        True,
+        "",
+    ),
+    "one of the samples of a long table": (
+        "id\twavelength\tR (%)\tsd\n"
+        + rows("\t", 1 + 0 * GRID, GRID, 200 * R, SD) + "\n" + rows("\t", 2 + 0 * GRID, GRID, 100 * R, 100 * SD),
+        {"column": "2"},
+        True,
+        "'1 R (%)', '1 R (%) sd' left out",
+    ),
+    "scans of a long table": (
+        "scan;wavelength;quantity;value\n"
+        + "\n".join(
+            f"{scan};{x};{name};{f * y:.6g}"
+            for x, y in zip(GRID, R, strict=True)
+            for scan, f in ((1, 0.9), (2, 1.1))
+            for name, f in (("reflectance", f), ("transmittance", 0.2))
+        ),
+        {},
+        True,
+        "mean of 2 scans",
+    ),
+    "a row with a unit in each cell": (
+        "Data Name,Time," + ",".join(f"SCE {x:.0f}[nm]" for x in GRID) + "\neye,10:11,"
+        + ",".join(f"{100 * y:.6g}%" for y in R),
+        {},
+        False,
+        "",
+    ),
+    "SCI and SCE behind the wavelengths": (
+        "Name;" + ";".join(f"{x:.0f} nm ({kind})" for kind in ("SCI", "SCE") for x in GRID) + "\neye;"
+        + ";".join(f"{100 * y:.6g}" for y in (*1.4 * R, *R)),
+        {"column": "SCE"},
+        False,
+        "'eye SCE' used",
+    ),
+    "remarks beside values": (
+        "time,wavelength,R,remark\n"
+        + "\n".join(f"10:11:{i:02},{x},{y:.6g},{'blink' * (i == 3)}" for i, (x, y) in enumerate(zip(GRID, R, strict=True))),
+        {},
+        False,
+        "",
+    ),
     "names two lines above": (
         "file,a.asd,b.asd\nunit,Reflectance,Reflectance\n" + rows(",", GRID, R, 2 * R),
         {"column": "a.asd"},
@@ -551,6 +615,14 @@ def test_eyes_with_their_standard_deviations(tmp_path):
     found = io.read_eyes(written(tmp_path, text))
     assert list(found) == ["OD", "OS"]
     np.testing.assert_allclose(found["OD"].values, R, rtol=1e-4)
+    lines = [
+        f"{eye} {scan} {x} {scale * y:.6g}"
+        for eye, scan, scale in (("leaf1", 1, 1.01), ("leaf1", 2, 0.99), ("leaf2", 1, 0.8))
+        for x, y in zip(GRID, R, strict=True)
+    ]
+    found = io.read_eyes(written(tmp_path, "eye scan wavelength R\n" + "\n".join(lines)))
+    assert list(found) == ["leaf1 R", "leaf2 R"]
+    np.testing.assert_allclose(found["leaf1 R"].values, R, rtol=1e-4)
 
 
 BOTH = ",".join(f"{kind} {x:.0f}nm" for kind in ("SCI", "SCE") for x in X)
@@ -601,6 +673,15 @@ BOTH = ",".join(f"{kind} {x:.0f}nm" for kind in ("SCI", "SCE") for x in X)
         ("nm,R,sd\n400,0.1,0.01\n410,0.1,0\n", "line 3: standard deviation 0"),
         ("nm,R,sd,sigma\n400,0.1,0.01,1\n", "two standard deviations; choose with --sd NAME"),
         ("cm-1,R\n25000,0.1\n0,0.1\n", "line 3: a wavenumber of 0"),
+        ("nm,R\n400,3.1%\n410,0.032\n", "line 3: '0.032' has no unit .* before have %"),
+        (f"Name,{BOTH}\neye{',3.1%' * 11},2.9", "column SCE 650nm: '2.9' has no unit"),
+        ("nm,R,sd\n400,3.1%,0.01\n", "column 'sd \\[1\\]' is beside a percent"),
+        ("eye,nm,R\na,400,.1\na,410,.1\nb,400,.1\nb,4lO,.1", "line 5: '4lO' is not a number"),
+        ("eye,nm,R\n1,400,.03\n2,400,.03\n", "'1 R' .*'2 R' .* choose with --column NAME"),
+        ("eye,nm,R\na,400,.03\na,400,.03\n", "a wavelength of 'a R' appears twice"),
+        ("eye,nm,A\nT,400,.5\nT,410,abs\n", "line 3: 'abs' is not a number"),
+        (jcamp("REFLECTANCE", Y).replace("\n", "\n##NTUPLES=N\n", 1), "NTUPLES is not read"),
+        ('<?xml version="1.0"?>\n<CxF/>', "XML, such as CxF, is not read"),
     ],
 )
 def test_what_is_no_spectrum_is_refused(tmp_path, text, message):
