@@ -3,7 +3,6 @@ budget of compiled programs for each file.
 """
 
 import collections
-import functools
 import gc
 import hashlib
 import importlib.metadata
@@ -83,8 +82,16 @@ def _share_context():
     """All programs are lowered in one MLIR context: to make and delete one for each costs 3 ms, a
     fifth of what a program of one operation costs.
     """
-    if hasattr(mlir, "make_ir_context"):  # JAX promises no such name
-        mlir.make_ir_context = functools.cache(mlir.make_ir_context)
+    make = getattr(mlir, "make_ir_context", None)
+    if make is None:  # JAX promises no such name
+        return
+    shared = make()
+
+    def context():
+        # While a program is lowered another may be, of a value that its rules need.
+        return make() if mlir.ir.Context.current else shared
+
+    mlir.make_ir_context = context
 
 
 def pytest_ignore_collect(collection_path, config):
