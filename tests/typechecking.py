@@ -1,10 +1,16 @@
-"""The checker jaxtyping's import hook puts on every function of the package (see conftest)."""
+"""The checker jaxtyping's import hook puts on every function of the package (see conftest).
 
+It checks the first calls of a function in each process. All calls would take 8 to 13 % of the time of
+the tests (transport, photographs), most of it in a few small functions.
+"""
+
+import sys
 from typing import Any
 
 from beartype import BeartypeConf, beartype
 
 # PEP 484: an int is welcome where a float is asked for, as pyright has it.
+_CALLS = 100  # of a function, after which it is believed: some are called ten thousand times
 _beartype = beartype(conf=BeartypeConf(is_pep484_tower=True))
 
 
@@ -18,12 +24,15 @@ def checked(function):
     hints = function.__annotations__
     if hints.get("return", Any) is not Any:
         function.__annotations__ = {"return": hints["return"]}
-    made = None
+    made, calls = None, 0
 
     def check(*args, **kwargs):
-        nonlocal made
+        nonlocal made, calls
         if made is None:
             made = _beartype(function)
+        calls += 1
+        if calls == _CALLS and (checked := sys._getframe(1).f_locals.get("fn")):
+            checked.__no_type_check__ = True  # jaxtyping's caller looks for this
         return made(*args, **kwargs)
 
     return check
