@@ -19,7 +19,8 @@ from scipy import ndimage, optimize, special
 from experiments.common import RESULTS, start, write
 from irisjax.io.profiles import srgb_to_linear
 from irisjax.measure.colour import srgb_encode
-from irisjax.photo.outlines import Evidence, find_boundaries
+from irisjax.photo.evidence import Evidence
+from irisjax.photo.outlines import find_boundaries
 from irisjax.photo.photograph import Ellipse, Photograph
 from irisjax.photo.pose import LIMBUS_OVAL, PUPIL_OVAL, tilts_of_people
 

@@ -96,12 +96,17 @@ class FittedEllipse(NamedTuple):
         flattening_sd: Standard deviation of either component of its flattening.
         place_sd: Standard deviation of centre and logarithm of the mean radius together, relative
             to the radius.
+        margin: Of a pupil, whose iris may have a dark margin: width over which the brightness rises
+            to the iris's, relative to the pupil's radius; 0 for a sharp edge, `None` if it is not
+            known. A step and a smoothstep at one place count as the smoothstep that lets as much
+            light by.
     """
 
     outline: Ellipse
     support: float
-    flattening_sd: float
+    flattening_sd: float = 0.0
     place_sd: float = 0.0
+    margin: float | None = None
 
 
 def find_rings(

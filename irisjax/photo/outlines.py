@@ -1,20 +1,20 @@
 """Outlines of limbus and pupil in a photograph, and the confidence in each."""
 
-import warnings
 from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage, optimize, special
 
 from irisjax.photo import edges
-from irisjax.photo.edges import (
-    FINE,
-    RAYS,
-    ROUGH,
-    FittedEllipse,
-    along_rays,
-    cut_around,
-    refine_outline,
+from irisjax.photo.edges import RAYS, FittedEllipse, along_rays, cut_around
+from irisjax.photo.evidence import (
+    PUPIL_SHARE,
+    Evidence,
+    darkness,
+    evidence_for,
+    limbus_part,
+    plausible,
+    probabilities,
 )
 from irisjax.photo.photograph import Ellipse, Photograph
 from irisjax.photo.pose import FLATTER, LIMBUS_FLAT, LIMBUS_OVAL, PUPIL_OVAL
@@ -23,7 +23,6 @@ MIN_CONFIDENCE = 0.5
 """Confidence below which an outline is more likely wrong than right, see `Boundaries`."""
 SURE = 0.8
 """Confidence below which an outline that is used is doubtful."""
-_PUPIL_SHARE = (0.12, 0.85)  # range of pupil radii, relative to the limbus
 _LIMBUS_WIDTHS = (0.02, 0.05, 0.09)  # half widths of the rise, relative to the radius
 _LIMBUS_SPAN = (0.6, 1.4)  # of profiles across the limbus, relative to it
 _BLUR, _BLUR_SPREAD = 0.8, 0.4  # standard deviation of a photograph's own blur, px; of its log
@@ -35,85 +34,23 @@ _EVEN = np.ones(RAYS.size)  # weights of the rays
 _MISFIT = 0.02  # difference of irides from the fitted rise, relative to the rise
 _LONG = 640  # px along the long side of the copy in which eyes are searched
 _RING_LONG = 360  # the same of the copy in which rings are searched
-_JUDGED = 60.0  # px of the limbus in the copy in which pairs are judged
 _PUPIL_RADIUS = 40.0  # px of the limbus in the copy in which pupils are searched
 _SMALLEST = 40  # long side over the radius of the smallest iris
 _STARTS, _CANDIDATES = 10, 3  # circles that are weighed, and those of them that are refined
 _SURE = 0.9  # worth of a pair of outlines above which the search ends
-_PLACED = 0.01  # standard deviation of an outline that is known so well that it is half sure
-_WIDE = 0.68  # pupil over limbus above which the pair is less plausible
 _TRUSTED = 0.5  # support above which a pupil is used to find the limbus
 _FRONTAL = edges.Expected((LIMBUS_FLAT, 0.0), 0.08)
 _ASIDE = 0.07  # standard deviation of the pupil's middle in either direction, limbus radii
 _FAR_ASIDE = 0.15  # the same for limbi that are not yet known well
 _UP = 0.05  # its mean, above the limbus's middle
 _WARM = 0.5  # by how much redder the white of one side may be than that of the other
-_SIDE = 0.77  # cosine of the largest angle from the horizontal at which no lid is expected
-# Constant and weights of the evidence in the logarithm of the odds: none negative, by logistic
-# regression with a ridge of 0.2 on 230 photographs of experiments/outline_confidence.py (seed 0).
-_LIMBUS_LOGIT = (-6.3, 3.6, 0.2, 1.2, 0.2, 1.1, 0.4, 0.0, 0.0, 0.0, 1.2, 5.1, 0.0)
-_PUPIL_LOGIT = (-12.8, 0.1, 2.9, 1.2, 4.0, 1.6, 0.2, 1.4, 0.7, 0.0, 2.7, 1.5, 0.7)
-_DARK = 0.2  # evidence of a dark pupil below which there may be no eye
-
-
-class PupilEdge(NamedTuple):
-    """The outline at which the iris begins; the iris's margin may be dark.
-
-    Attributes:
-        outline: The outline, in pixels of the photograph.
-        support: Share of the outline that edges support.
-        margin: Width over which the brightness rises to the iris's, relative to the pupil's radius:
-            0 for a sharp edge, `None` if it is not known. A step and a smoothstep at one place
-            count as the smoothstep that lets as much light by.
-        flattening_sd: Standard deviation of either component of the outline's flattening.
-        place_sd: See `FittedEllipse.place_sd`.
-    """
-
-    outline: Ellipse
-    support: float
-    margin: float | None = None
-    flattening_sd: float = 0.0
-    place_sd: float = 0.0
-
-
-class Evidence(NamedTuple):
-    """Evidence that a pair of outlines is right, each number from 0 to 1.
-
-    Attributes:
-        limbus: Share of the limbus that edges support, where no lid hides it.
-        pupil: Share of the pupil's outline that edges support.
-        dark: By how much the pupil is darker than the iris around it.
-        enclosed: Share of the pupil's outline beyond which it is brighter than within.
-        white: How much brighter it is to the left and right of the limbus than within.
-        colourless: How little these parts have the red of skin.
-        radial: How much of the iris's contrast lies along circles: fibres run along the radius.
-        shape: How usual the sizes and places of the two outlines are.
-        whole: Whether the picture shows all of them.
-        fine: Whether they have enough pixels.
-        limbus_placed: How closely its edges place the limbus: 1/2 if its centre and radius are
-            determined to 1 % of its radius.
-        pupil_placed: The same for the pupil.
-    """
-
-    limbus: float
-    pupil: float
-    dark: float
-    enclosed: float
-    white: float
-    colourless: float
-    radial: float
-    shape: float
-    whole: float
-    fine: float
-    limbus_placed: float
-    pupil_placed: float
 
 
 class Pair(NamedTuple):
     """Outlines of one eye, the evidence for them, and its weight from 0 to 1."""
 
     limbus: FittedEllipse
-    pupil: PupilEdge
+    pupil: FittedEllipse
     evidence: Evidence
     worth: float
 
@@ -127,7 +64,7 @@ class Boundaries(NamedTuple):
         limbus_confidence: Probability that centre and radius are within 4 % of the limbus's radius,
             calibrated on simulated photographs; 1 if given.
         pupil_confidence: The same for the pupil.
-        pupil_margin: See `PupilEdge.margin`.
+        pupil_margin: See `FittedEllipse.margin`.
         limbus_width: Width over which iris and white blend, relative to the limbus's radius; `None`
             if it is not known.
         flattening_sd: Standard deviations of the components of the flattening of limbus and pupil,
@@ -190,8 +127,7 @@ def find_boundaries(
                 f"{photo.name}: the middle of the {name} given, {given.centre}, is outside the "
                 f"picture of {columns} x {rows} pixels"
             )
-    fit = None if limbus is None else FittedEllipse(limbus, 1.0, 0.0)
-    inner = None if pupil is None else PupilEdge(pupil, 1.0)
+    fit, inner = (None if e is None else FittedEllipse(e, 1.0) for e in (limbus, pupil))
     if fit and inner:
         margin = beginning_of(photo, fit, inner).margin
         width = limbus_width_of(photo, fit.outline)
@@ -214,14 +150,14 @@ def find_boundaries(
     return _finished(photo, *near, fit, inner, len(eyes))
 
 
-def pupil_within(photo: Photograph, limbus: FittedEllipse) -> PupilEdge:
+def pupil_within(photo: Photograph, limbus: FittedEllipse) -> FittedEllipse:
     """Find the pupil within a limbus, which suggests how flat it is if its edges are seen."""
-    part = _part_about(photo, limbus.outline, 1.1, ROUGH)
+    part = _part_about(photo, limbus.outline, 1.1, edges.ROUGH)
     picture, outline, back = part[0].mean(-1), *part[2:]
     ceiling = _ceiling(picture, outline)
     if ceiling is None or not (circles := _dark_rings(np.minimum(picture, ceiling), outline)):
         a, b = limbus.outline.semi_axes  # in place of a pupil that is not found
-        return PupilEdge(limbus.outline._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
+        return FittedEllipse(limbus.outline._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
     first = _first_rise(np.minimum(picture, ceiling), ceiling)
     # A reflection in the pupil may leave a smaller dark circle beside its middle.
     middle = 0.5 * np.add(circles[0].centre, outline.centre)
@@ -229,7 +165,7 @@ def pupil_within(photo: Photograph, limbus: FittedEllipse) -> PupilEdge:
     expected = _expected_pupil(limbus)
     fits = [_pupil_near(first, part[1], circle, expected) for circle in starts]
     fit = max(fits, key=lambda fit: fit.support * _usual_place(outline, fit.outline))
-    return PupilEdge(back(fit.outline), fit.support, None, fit.flattening_sd, fit.place_sd)
+    return fit._replace(outline=back(fit.outline))
 
 
 def _dark_rings(picture, limbus: Ellipse) -> list[Ellipse]:
@@ -242,11 +178,11 @@ def _dark_rings(picture, limbus: Ellipse) -> list[Ellipse]:
     rings[:, :2] = (rings[:, :2] + 0.5) / scale - 0.5
     rings[:, 2] /= scale
     off, share = limbus.relative_radius(*rings[:, :2].T), rings[:, 2] / radius
-    possible = (_PUPIL_SHARE[0] < share) & (share < _PUPIL_SHARE[1])
+    possible = (PUPIL_SHARE[0] < share) & (share < PUPIL_SHARE[1])
     found = list[tuple[float, Ellipse]]()
     for x, y, r, votes in rings[possible & (off < np.minimum(0.3, 1.05 - share))]:
         circle = Ellipse((x, y), (r, r))
-        dark, enclosed = _hole(picture, circle)
+        dark, enclosed = darkness(picture, circle)
         found.append((votes * dark * (0.3 + enclosed) * _usual_place(limbus, circle), circle))
     return [circle for _, circle in sorted(found, key=lambda each: -each[0])]
 
@@ -278,27 +214,27 @@ def _pupil_near(picture, cut_off, circle: Ellipse, expected: edges.Expected) -> 
     for near in (0.12, 0.08):
         profile = _profile(picture, cut_off, fit.outline, span, 81)
         steps = edges.steps_along(profile, span, _PUPIL_WIDTHS, 0.15)
-        fit = refine_outline(fit.outline, *steps.strongest(near), _EVEN, expected)
+        fit = edges.refine_outline(fit.outline, *steps.strongest(near), _EVEN, expected)
     return fit
 
 
-def beginning_of(photo: Photograph, limbus: FittedEllipse, near: PupilEdge) -> PupilEdge:
+def beginning_of(photo: Photograph, limbus: FittedEllipse, near: FittedEllipse) -> FittedEllipse:
     """Move an outline to where the iris begins, and measure the width of its margin, if enough of
     it is seen.
 
     A sharp edge is placed half-way from black to bright, whatever the blur; if the brightness rises
     slowly, the outline is placed where the rise begins.
     """
-    pixels, _, outline, _ = _part_about(photo, limbus.outline, 1.1, ROUGH)
+    pixels, _, outline, _ = _part_about(photo, limbus.outline, 1.1, edges.ROUGH)
     ceiling = _ceiling(pixels.mean(-1), outline)
-    pixels, cut_off, circle, back = _part_about(photo, near.outline, 1.5, FINE)
+    pixels, cut_off, circle, back = _part_about(photo, near.outline, 1.5, edges.FINE)
     picture, span = np.clip(pixels.mean(-1), 0, ceiling), (0.7, 1.3)
     smooth = ndimage.gaussian_filter(picture, 0.01 * circle.semi_axes[0])  # against noise
     held, expected = 0 * _EVEN, _expected_pupil(limbus)
     for reach in (0.1, 0.08):
         profile = _profile(_first_rise(smooth, ceiling), cut_off, circle, span, 241)
         held, place = edges.steps_along(profile, span, _PUPIL_WIDTHS, 0.15).strongest(reach)
-        circle = refine_outline(circle, held, place, _EVEN, expected).outline
+        circle = edges.refine_outline(circle, held, place, _EVEN, expected).outline
     good = _profile(picture, cut_off, circle, _PUPIL_SPAN, 241)[held > 0.3]
     if len(good) < 12 or not np.isfinite(good).any(0).all():
         return near._replace(outline=back(circle))
@@ -311,14 +247,14 @@ def beginning_of(photo: Photograph, limbus: FittedEllipse, near: PupilEdge) -> P
 
 
 def limbus_near(
-    photo: Photograph, start: Ellipse, pupil: PupilEdge | None = None, coarse: bool = True
+    photo: Photograph, start: Ellipse, pupil: FittedEllipse | None = None, coarse: bool = True
 ) -> FittedEllipse:
     """Refine a limbus near a circle (`coarse`) or near an ellipse.
 
     A pupil suggests where the limbus's centre is and how flat it is. The support is the share of
     the limbus's part outside the lids.
     """
-    seen, outline, back = _limbus_part(photo, start, ROUGH if coarse else FINE)
+    seen, outline, back = limbus_part(photo, start, edges.ROUGH if coarse else edges.FINE)
     expected, ratio = _FRONTAL, outline.semi_axes[0] / start.semi_axes[0]
     if pupil is not None and pupil.support > _TRUSTED:
         flat = FLATTER * pupil.outline.flattening + 0.25 * np.array(_FRONTAL.flattening)
@@ -338,7 +274,7 @@ def limbus_near(
         covered = 1 - white[:, int(np.argmin(abs(steps.place - 1)))]
         shown = 1 - 0.8 * np.where(np.isnan(profile[:, : profile.shape[1] // 2]).any(1), 0, covered)
         weight = _beside_lids(fit.outline) * shown
-        fit = refine_outline(fit.outline, value, place, weight, expected)
+        fit = edges.refine_outline(fit.outline, value, place, weight, expected)
     return fit._replace(outline=back(fit.outline))
 
 
@@ -348,7 +284,7 @@ def limbus_width_of(photo: Photograph, limbus: Ellipse) -> float | None:
 
     It is the width of the smoothstep that is as steep between a quarter and three quarters.
     """
-    seen, outline, _ = _limbus_part(photo, limbus, FINE)
+    seen, outline, _ = limbus_part(photo, limbus, edges.FINE)
     steps, white, profile = _limbus_edges(*seen, outline)
     held, place = _half_way(profile, steps, white, 0.04)
     good = held > 0.3
@@ -368,7 +304,9 @@ def limbus_width_of(photo: Photograph, limbus: Ellipse) -> float | None:
     return float(np.sqrt(max((high - low) ** 2 - blur**2, 0)) / _QUARTILES_OF_SMOOTHSTEP)
 
 
-def _eyes(photo: Photograph, limbus: FittedEllipse | None, pupil: PupilEdge | None, every: bool):
+def _eyes(
+    photo: Photograph, limbus: FittedEllipse | None, pupil: FittedEllipse | None, every: bool
+):
     """The eyes of a picture, the one with the most evidence first."""
     found = list[Pair]()
     starts = [limbus.outline] if limbus else _starts(photo.pixels.mean(-1), pupil)
@@ -397,28 +335,28 @@ def _eyes(photo: Photograph, limbus: FittedEllipse | None, pupil: PupilEdge | No
 
 
 def _rough_pair(
-    photo: Photograph, start: Ellipse, limbus: FittedEllipse | None, pupil: PupilEdge | None
+    photo: Photograph, start: Ellipse, limbus: FittedEllipse | None, pupil: FittedEllipse | None
 ) -> Pair:
     """A circle as limbus with the circle within that is most likely the pupil."""
-    fit = limbus or FittedEllipse(start, _TRUSTED, 0.0)
+    fit = limbus or FittedEllipse(start, _TRUSTED)
     if pupil is None:
         pixels, _, outline, back = _part_about(photo, start, 1.1, _PUPIL_RADIUS)
         picture = pixels.mean(-1)
         ceiling = _ceiling(picture, outline)
         circles = _dark_rings(np.minimum(picture, ceiling), outline) if ceiling else []
         a, b = start.semi_axes
-        pupil = PupilEdge(start._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
+        pupil = FittedEllipse(start._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
         if circles:
-            pupil = PupilEdge(back(circles[0]), _TRUSTED, flattening_sd=0.1)
+            pupil = FittedEllipse(back(circles[0]), _TRUSTED, 0.1)
     return _weighed(photo, fit, pupil)
 
 
 def _promise(pair: Pair) -> float:
-    return float(np.sqrt(np.prod(_probabilities(pair.evidence))))
+    return float(np.sqrt(np.prod(probabilities(pair.evidence))))
 
 
 def _refined(
-    photo: Photograph, near: Pair, limbus: FittedEllipse | None, pupil: PupilEdge | None
+    photo: Photograph, near: Pair, limbus: FittedEllipse | None, pupil: FittedEllipse | None
 ) -> Pair:
     """Fit the outlines near a rough pair, and weigh the evidence for them."""
     inner, fit = pupil or pupil_within(photo, near.limbus), limbus
@@ -432,24 +370,24 @@ def _refined(
     return _weighed(photo, fit, inner)
 
 
-def _weighed(photo: Photograph, limbus: FittedEllipse, pupil: PupilEdge) -> Pair:
-    evidence = _evidence(photo, limbus, pupil)
-    return Pair(limbus, pupil, evidence, min(_probabilities(evidence)))
+def _weighed(photo: Photograph, limbus: FittedEllipse, pupil: FittedEllipse) -> Pair:
+    evidence = evidence_for(photo, limbus, pupil)
+    return Pair(limbus, pupil, evidence, min(probabilities(evidence)))
 
 
 def _finished(
     photo: Photograph,
     near: FittedEllipse,
-    near_pupil: PupilEdge,
+    near_pupil: FittedEllipse,
     limbus: FittedEllipse | None,
-    pupil: PupilEdge | None,
+    pupil: FittedEllipse | None,
     eyes: int,
 ) -> Boundaries:
     """Measure a pair on the whole photograph, and keep what was given."""
     inner = pupil or (beginning_of(photo, near, near_pupil) if near_pupil.support else near_pupil)
     fit = limbus or limbus_near(photo, near.outline, inner, coarse=False)
-    evidence = _evidence(photo, fit, inner)
-    limbus_sure, pupil_sure = _probabilities(evidence)
+    evidence = evidence_for(photo, fit, inner)
+    limbus_sure, pupil_sure = probabilities(evidence)
     return Boundaries(
         fit.outline,
         inner.outline,
@@ -460,123 +398,6 @@ def _finished(
         (fit.flattening_sd, inner.flattening_sd),
         eyes,
         evidence,
-    )
-
-
-def _probabilities(evidence: Evidence) -> tuple[float, float]:
-    """Return the probabilities that limbus and pupil are right, by logistic regression."""
-    known = np.append(1.0, evidence)
-    logits = np.array(_LIMBUS_LOGIT) @ known, np.array(_PUPIL_LOGIT) @ known
-    possible = evidence.whole * evidence.shape * min(evidence.dark / _DARK, 1.0)
-    limbus, pupil = (float(special.expit(logit) * possible) for logit in logits)
-    return limbus, pupil
-
-
-def _evidence(photo: Photograph, limbus: FittedEllipse, pupil: PupilEdge) -> Evidence:
-    outer, inner = limbus.outline, pupil.outline
-    half = np.array(photo.shape[::-1]) / 2
-    shown = [(abs(e.points(RAYS) + 0.5 - half) < half).all(1).mean() for e in (outer, inner)]
-    (picture, redness), circle, _ = _limbus_part(photo, outer, _JUDGED)
-    span, steps = (0.02, 1.4), 70
-    place = np.linspace(*span, steps)
-    seen = along_rays(picture, circle, span, steps)
-    right = (circle.points(RAYS)[:, 0] - circle.centre[0]) / circle.mean_radius
-    sides = [sign * right > _SIDE for sign in (-1, 1)]
-    rim, beyond = (place > 0.8) & (place < 0.97), (place > 1.08) & (place < 1.25)
-    rises = [_log_ratio(seen[s][:, beyond], seen[s][:, rim], 0.3) for s in sides]
-    rises = np.clip(np.array(rises) / 1.5, 0, 1)
-    colourless = 1.0
-    if redness is not None:
-        tint = along_rays(redness, circle, span, steps)
-        least = min(_middle(tint[s][:, beyond], 9.0) for s in sides)
-        colourless = float(special.expit((0.7 - least) / 0.12))
-    scale = circle.semi_axes[0] / outer.semi_axes[0]
-    middle = scale * np.subtract(inner.centre, outer.centre) + circle.centre
-    hole = inner.scaled(scale)._replace(centre=(float(middle[0]), float(middle[1])))
-    # Yellow irides are black in blue light.
-    mean = cut_around(photo.pixels, outer, 2.0, _JUDGED)[0].mean(-1)
-    dark, enclosed = _hole(mean, hole)
-    texture = (place > 1.15 * inner.mean_radius / outer.mean_radius) & (place < 0.9)
-    return Evidence(
-        limbus=limbus.support,
-        pupil=pupil.support,
-        dark=dark,
-        enclosed=enclosed,
-        white=float(0.6 * rises.max() + 0.4 * rises.min()),
-        colourless=colourless,
-        radial=_radial(seen[:, texture], place[texture], float(place[1] - place[0])),
-        shape=_plausible(outer, inner),
-        whole=float(np.clip((min(shown) - 0.5) / 0.15, 0, 1)),
-        fine=min(1.0, outer.semi_axes[1] / 30),
-        limbus_placed=1 / (1 + (limbus.place_sd / _PLACED) ** 2),
-        pupil_placed=1
-        / (1 + (pupil.place_sd * inner.mean_radius / outer.mean_radius / _PLACED) ** 2),
-    )
-
-
-def _hole(picture, hole: Ellipse) -> tuple[float, float]:
-    """How much darker an ellipse is inside, where nothing is mirrored, than around it (from 0.4 to
-    0.9 of the brightness around it), and the share of rays on which it is brighter around it.
-    """
-    place = np.linspace(0.05, 1.4, 41)
-    profile = along_rays(picture, hole, (0.05, 1.4), place.size)
-    inside = _seen(profile[:, place < 0.85])
-    if not inside.size:
-        return 0.0, 0.0
-    deep = float(np.quantile(inside, 0.25))
-    # A ray that leaves the picture is no evidence of a brighter surrounding.
-    around = np.nan_to_num(_median(profile[:, place > 1.12], 1), nan=deep)
-    iris = float(np.median(around))
-    dark = np.clip((1 - deep / (iris + 1e-9) - 0.4) / 0.5, 0, 1)
-    share = np.mean(around > deep + 0.35 * (iris - deep))
-    return float(dark), float(np.clip((share - 0.5) / 0.5, 0, 1))
-
-
-def _radial(seen, place, pitch: float) -> float:
-    """Contrast of neighbours along circles over that in all directions, from 1/4 to 1/2."""
-    if seen.shape[1] < 4 or not np.isfinite(seen).any():
-        return 0.0
-    logs = np.log(seen + 0.02 * (_median(seen) + 1e-3))
-    logs = logs - _median(logs, 0)
-    each = (_mean(abs(np.diff(logs, axis=axis)), axis) for axis in (0, 1))
-    around, along = next(each) / (place * (RAYS[1] - RAYS[0])), next(each)
-    around, along = _median(around), _median(along) / pitch
-    # Nothing is seen of some candidates beyond the picture's edge: no evidence either.
-    share = np.nan_to_num(around / (around + along + 1e-9))
-    return float(np.clip((share - 0.25) / 0.25, 0, 1))
-
-
-def _log_ratio(beyond, inside, quantile: float) -> float:
-    """Logarithm of the middle of one part over a quantile of the other; 0 if one is not seen."""
-    beyond, inside = _seen(beyond), _seen(inside)
-    if not (beyond.size and inside.size):
-        return 0.0
-    return float(np.log((np.median(beyond) + 1e-3) / (np.quantile(inside, quantile) + 1e-3)))
-
-
-def _seen(values):
-    """The values that are numbers: those in the picture."""
-    return values[np.isfinite(values)]
-
-
-def _middle(values, missing: float) -> float:
-    seen = _seen(values)
-    return float(np.median(seen)) if seen.size else missing
-
-
-def _median(values, axis: int | None = None):
-    """Median of the values that are numbers; NaN if there is none."""
-    if not np.isnan(values).any():
-        return np.median(values, axis)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        return np.nanmedian(values, axis)
-
-
-def _mean(values, axis: int):
-    there = np.isfinite(values)
-    return np.where(there, values, 0.0).sum(axis) / np.where(
-        there.any(axis), there.sum(axis), np.nan
     )
 
 
@@ -617,7 +438,7 @@ def _beside_lids(outline: Ellipse):
     return np.where(down < 0, above, np.clip(cosine + 0.35, 0.5, 1))
 
 
-def _starts(brightness, pupil: PupilEdge | None) -> list[Ellipse]:
+def _starts(brightness, pupil: FittedEllipse | None) -> list[Ellipse]:
     """Circles near which a limbus may lie, best first."""
     scale = min(1.0, _RING_LONG / max(brightness.shape))
     copy = edges.reduce_picture(brightness[..., None], scale)[..., 0]
@@ -628,14 +449,14 @@ def _starts(brightness, pupil: PupilEdge | None) -> list[Ellipse]:
     radius, votes = rings[:, 2:3], rings[:, 3]
     share = rings[:, 2] / radius
     # The votes of a ring, and those of the best pupil within.
-    inside = (share > _PUPIL_SHARE[0]) & (share < _PUPIL_SHARE[1]) & (away < 0.25 * radius)
+    inside = (share > PUPIL_SHARE[0]) & (share < PUPIL_SHARE[1]) & (away < 0.25 * radius)
     worth = votes * (0.5 + np.where(inside, votes, 0).max(1, initial=0))
     best = [k for k in np.argsort(-worth, kind="stable") if rings[k, 2] >= least]
     circles = [Ellipse((x, y), (r, r)).scaled(1 / scale) for x, y, r, _ in rings[best]]
     circles = [c for c in circles if _within(c, shape)]
     if pupil is not None:
         hole = pupil.outline
-        circles = [c for c in circles if _plausible(c, hole) > 0.5]
+        circles = [c for c in circles if plausible(c, hole) > 0.5]
         middle, size = hole.centre, hole.mean_radius
         circles += [Ellipse(middle, (size / s, size / s)) for s in (0.25, 0.35, 0.5)]
     return circles[:_STARTS]
@@ -644,19 +465,6 @@ def _starts(brightness, pupil: PupilEdge | None) -> list[Ellipse]:
 def _within(outline: Ellipse, shape) -> bool:
     """Whether an outline's middle lies in the picture."""
     return all(-0.5 < v < n - 0.5 for v, n in zip(outline.centre, shape[::-1], strict=True))
-
-
-def _plausible(limbus: Ellipse, pupil: Ellipse) -> float:
-    """1 for a pair of outlines that an eye may have, and less for odder ones."""
-    size = pupil.semi_axes[0] / limbus.semi_axes[0]
-    off = float(limbus.relative_radius(*pupil.centre))
-    low, high = _PUPIL_SHARE
-    odd = max(low - size, 0) / 0.05 + max(size - high, 0) / 0.05
-    # If a pupil leaves a narrow ring, the white's edge is mistaken for the iris's: 3 to 12 % off.
-    odd += max(size - _WIDE, 0) / 0.1
-    odd += max(off - 0.15, 0) / 0.1
-    odd += sum(max(0.82 - e.semi_axes[1] / e.semi_axes[0], 0) / 0.04 for e in (limbus, pupil))
-    return float(np.exp(-odd))
 
 
 def _part_about(photo: Photograph, outline: Ellipse, margin: float, radius: float):
@@ -683,30 +491,6 @@ def _ceiling(picture, limbus: Ellipse) -> float | None:
     """Brightness within a limbus that only highlights exceed; `None` out of the picture."""
     within = picture[limbus.radii(picture.shape) < 0.9]
     return float(1.5 * np.quantile(within, 0.75) + 1e-9) if within.size else None
-
-
-def _limbus_part(photo: Photograph, outline: Ellipse, radius: float):
-    """`cut_around` of brightness and redness (`None` without colours).
-
-    The brightness is that of the channel in which iris and white differ most at both sides: white
-    in a warm shade is hardly brighter than a blue iris, but redder.
-    """
-    pixels, moved, back = cut_around(photo.pixels, outline, 2.0, radius)
-    mean = pixels.mean(-1)
-    if photo.grey:
-        return (mean, None), moved, back
-    floor = 0.02 * float(np.quantile(pixels[..., 0], 0.98)) + 1e-6
-    logs = np.log(np.maximum(pixels, 0) + floor)
-    right = (moved.points(RAYS)[:, 0] - moved.centre[0]) / moved.semi_axes[0]
-
-    def contrast(channel) -> float:
-        profile = along_rays(channel, moved, (0.75, 1.25), 16)
-        rise = profile[:, -6:].mean(1) - profile[:, :6].mean(1)
-        return min(_middle(rise[sign * right > _SIDE], 9.0) for sign in (-1, 1))
-
-    best = max(range(3), key=lambda k: contrast(logs[..., k]))
-    # Redness is far larger for skin than for the white of an eye.
-    return (pixels[..., best], logs[..., 0] - logs[..., 2]), moved, back
 
 
 def _beginning(x, brightness, pixel: float) -> tuple[float, float]:
