@@ -64,7 +64,8 @@ def compare_groups_command(groups: Groups) -> None:
             some = ", ".join(f"{n} ({s})" for n, s in list(found.left_out.items())[:8])
             opt.notice(f"{path}: {len(found.left_out)} eyes are left out: {some}")
     remarks, rows = _repeated(one, two) if groups.paired else _compared(one, two, groups.seed)
-    shown = {name: [_cell(row[name]) for row in rows] for name in rows[0]}
+    cells = [{n: x if isinstance(x, str) else interval(x) for n, x in r.items()} for r in rows]
+    shown = {name: [row[name] for row in cells] for name in cells[0]}
     print_table([], shown, remarks, title="value (95 % interval)")
     if groups.output is not None:
         io.write_atomically(groups.output, _table(remarks, rows).encode())
@@ -115,9 +116,13 @@ def _compared(one: FittedEyes, two: FittedEyes, seed: int) -> tuple[list[str], l
     for i, name in enumerate(typical[0]):
         row: _Row = {"parameter": name, "unit": unit_of(name)}
         (a, b), both = (t[name] for t in typical), zip("ab", spread, strict=True)
-        row |= {"mean_a": _interval(a), "mean_b": _interval(b), "difference": _interval(b - a)}
+        row |= {
+            "mean_a": Interval.of(a),
+            "mean_b": Interval.of(b),
+            "difference": Interval.of(b - a),
+        }
         row |= {"p_b_above_a": f"{(b > a).mean():.3g}"}
-        row |= {f"spread_{tag}": _interval(s[name]) for tag, s in both}
+        row |= {f"spread_{tag}": Interval.of(s[name]) for tag, s in both}
         for tag, group in zip("ab", found, strict=True):
             own = i < len(one.priors)
             row[f"shrinkage_{tag}"] = f"{group.shrinkage[i]:.2g}" if own else ""
@@ -164,15 +169,6 @@ def _repeated(one: FittedEyes, two: FittedEyes) -> tuple[list[str], list[_Row]]:
         "icc_agreement: ICC(2,1), icc_consistency: ICC(3,1) [Shrout & Fleiss 1979]",
         "bias: mean of b less a; limits: bias ± 1.96 sd of the differences [Bland & Altman 1986]",
     ], rows
-
-
-def _cell(x: str | Interval) -> str:
-    return x if isinstance(x, str) else interval(x)
-
-
-def _interval(draws: np.ndarray) -> Interval:
-    median, low, high = np.percentile(draws, (50.0, 2.5, 97.5))
-    return Interval(float(median), float(low), float(high))
 
 
 def _table(remarks: Sequence[str], rows: Sequence[_Row]) -> str:

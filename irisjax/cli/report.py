@@ -149,7 +149,7 @@ def _write(
     """Write all files; returns the predictive score and its error."""
     problem, chains = found.problem, found.chains
     seen = problem.observations
-    simulated, models = predictive(problem, chains, key=jax.random.fold_in(key, 3))
+    simulated, models, *_ = predictive(problem, chains, key=jax.random.fold_in(key, 3))
     shapes = [(f"{name}, by {problem.process.name}", *rest) for name, *rest in map(shape_of, seen)]
     # They are drawn while the rest is computed.
     pictures = {"fit.png": draw("fit_figure", shapes, list(simulated), list(models))}

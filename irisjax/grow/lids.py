@@ -3,7 +3,6 @@
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -11,6 +10,7 @@ from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.lids import EDGE_WIDTH, FACE, FENCE, Lids
 from irisjax.anatomy.sclera import sclera_centre
+from irisjax.numerics.streams import words_of
 from irisjax.numerics.strokes import sections, stamped
 
 _POINTS = 14  # along a lash
@@ -30,7 +30,7 @@ def lids(eye: Eye, *, texels: int = 1024, key: PRNGKey, **fields: Any) -> Lids:
     """
     made = Lids(**fields)
     eye.replace(lids=made)  # refuses an eye that cannot have them
-    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
+    rng = np.random.default_rng(words_of(key))
     centre = sclera_centre(eye)
     lashes = _lashes(rng, made, centre)
     maps = {"lashes": lashes, "skin": _skin(rng, texels), "fence": _fence(lashes, float(centre))}

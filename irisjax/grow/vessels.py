@@ -5,13 +5,13 @@ A curve runs in (azimuth, arc), the arc in mm on the sphere from the limbus outw
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.sclera import VeinMap, limbus_angle, sclera_of
+from irisjax.numerics.streams import words_of
 
 VEINS = {"clear": 0.15, "usual": 0.35, "bloodshot": 1.5}
 """Densities of vessels by name, set by eye."""
@@ -69,7 +69,7 @@ def veins(eye: Eye, *, shape: tuple[int, int] = (1024, 512), key: PRNGKey) -> Ve
     globe, density = _Globe(float(sclera.radius), float(limbus_angle(eye))), float(sclera.veins)
     if density == 0:
         return None
-    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
+    rng = np.random.default_rng(words_of(key))
     maps = depth, cover, deep = np.zeros((3, *shape))
     levels = [_trunks(rng, globe, round(40 * density), (0.014, 0.038), 0.5)]
     for forks, reach in ((5, 4.0), (3, 2.2), (1, 1.2)):

@@ -30,10 +30,11 @@ from irisjax._types import PRNGKey
 from irisjax.infer.importance import Start
 from irisjax.infer.observation import with_values
 from irisjax.infer.pixels import Each, fit_pixels, prior_starts
-from irisjax.infer.posterior import sample, words_of
+from irisjax.infer.posterior import sample
 from irisjax.infer.problem import Problem, predicted
 from irisjax.numerics import linear
 from irisjax.numerics.chunks import by_rows
+from irisjax.numerics.streams import words_of
 
 if TYPE_CHECKING:
     from flowjax.distributions import Transformed

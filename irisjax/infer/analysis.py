@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -142,16 +142,16 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
     return rows
 
 
-def predictive(
-    problem: Problem, chains: Chains, count: int = DRAWS, *, key: PRNGKey
-) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-    """Return draws (count, data) of the posterior predictive, and of the model, per observation."""
-    return _drawn(problem, chains, count, key)[:2]
+def predictive(problem: Problem, chains: Chains, *, key: PRNGKey) -> Any:
+    """Return `predicted` for `DRAWS` samples of the chains."""
+    z = chains.flat
+    some = np.linspace(0, len(z) - 1, min(DRAWS, len(z))).astype(int)
+    return predicted(problem, z[some], key)
 
 
 def predictive_check(problem: Problem, chains: Chains, *, key: PRNGKey) -> PredictiveCheck:
     """Check residuals by their size and by their pattern."""
-    simulated, models, sds, *_ = _drawn(problem, chains, DRAWS, key)
+    simulated, models, sds, *_ = predictive(problem, chains, key=key)
     found = []
     for values in (tuple(np.asarray(o.values) for o in problem.observations), simulated):
         each = [(y - m) / sd for y, m, sd in zip(values, models, sds, strict=True)]
@@ -161,9 +161,3 @@ def predictive_check(problem: Problem, chains: Chains, *, key: PRNGKey) -> Predi
     larger, smoother = (float((b >= a).mean()) for a, b in zip(*found, strict=True))
     noise = reported(problem, chains.z).get("noise")
     return PredictiveCheck(larger, smoother, 1.0 if noise is None else float(np.median(noise)))
-
-
-def _drawn(problem: Problem, chains: Chains, count: int, key: PRNGKey):
-    """Return all of `predicted` for draws of the chains."""
-    z = chains.flat
-    return predicted(problem, z[np.linspace(0, len(z) - 1, min(count, len(z))).astype(int)], key)

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float
 
 from irisjax._types import PRNGKey
-from irisjax.infer.posterior import Chains, ChainStatus, words_of
+from irisjax.infer.posterior import Chains, ChainStatus
 from irisjax.infer.problem import Problem, predicted, reported
+from irisjax.numerics.streams import words_of
 
 Labelled: TypeAlias = dict[str, tuple[tuple[str, ...], np.ndarray]]
 """Arrays by name, each with the names of its axes."""

@@ -19,8 +19,8 @@ from irisjax._types import PRNGKey
 from irisjax.infer.fit import Fit, fit
 from irisjax.infer.importance import EFFECTIVE, ImportanceSample, importance_sample
 from irisjax.infer.parameters import OF_POWER_LAW, kind
-from irisjax.infer.posterior import words_of
 from irisjax.infer.problem import Problem, pointwise, predicted, reported, solvers_of
+from irisjax.numerics.streams import words_of
 from irisjax.tissue.scattering import PowerLaw
 from irisjax.transport.process import DEPTH_RESOLVED, ILIT_2006, AbstractProcess, Ilit
 from irisjax.transport.radiative.adding import AddingDoubling
@@ -41,6 +41,11 @@ class Interval(NamedTuple):
     value: float
     low: float
     high: float
+
+    @classmethod
+    def of(cls, draws: np.ndarray) -> "Interval":
+        """Return the median and the 95 % interval of draws."""
+        return cls(*map(float, np.percentile(draws, (50.0, 2.5, 97.5))))
 
     def holds(self, value: float) -> bool:
         """Whether a value lies within."""
@@ -245,11 +250,6 @@ def _assessed(
     spread = (np.median(sd, axis=0) for sd in sds)
     data = (np.asarray(o.values) for o in problem.observations)
     residuals = tuple((y - m) / sd for y, m, sd in zip(data, medians, spread, strict=True))
-    values = {n: _interval(draws[n]) for n in names}
-    ratios = {n: _interval(draws[n] / beside[n]) for n in names if n in beside}
+    values = {n: Interval.of(draws[n]) for n in names}
+    ratios = {n: Interval.of(draws[n] / beside[n]) for n in names if n in beside}
     return Assessment(name, problem, found, score, error, values, ratios, medians, residuals)
-
-
-def _interval(values: np.ndarray) -> Interval:
-    median, low, high = np.percentile(values, (50.0, 2.5, 97.5))
-    return Interval(float(median), float(low), float(high))

@@ -7,7 +7,7 @@ from typing import TypeAlias
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import gammaln
+from jax.scipy.stats import t
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar, optional_field
@@ -54,7 +54,7 @@ class Noise(eqx.Module):
         spread = self._spread(observation, model, factor)
         white, log_sd = _whitened(spread, observation.values - model)
         if self.degrees_of_freedom is not None and observation.correlation_root is None:
-            return _student(white, log_sd, self.degrees_of_freedom)
+            return t.logpdf(white, self.degrees_of_freedom) - log_sd
         return -0.5 * (white * white + _LOG_2PI) - log_sd
 
     def whiten(self, observation: Observation, model: _Values) -> _Values:
@@ -99,10 +99,3 @@ def _whitened(spread: Array, residual: _Values) -> tuple[_Values, _Values]:
     if spread.ndim == 2:
         return whitened(spread, residual)
     return residual / spread, jnp.log(spread)
-
-
-def _student(white, log_sd, nu):
-    return (
-        gammaln((nu + 1) / 2) - gammaln(nu / 2) - 0.5 * jnp.log(nu * jnp.pi)
-        - (nu + 1) / 2 * jnp.log1p(white * white / nu) - log_sd
-    )  # fmt: skip

@@ -17,7 +17,8 @@ from scipy.stats import norm
 
 from irisjax._types import PRNGKey
 from irisjax.infer.importance import DRAWS, Approximation, Start, importance_sample
-from irisjax.infer.posterior import Density, words_of
+from irisjax.infer.posterior import Density
+from irisjax.numerics.streams import words_of
 
 PRIOR = "each mean as an eye in the fits; each spread half-normal, as wide as the fits' prior"
 """The prior of a group, in words."""

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import emcee
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -17,6 +16,7 @@ from irisjax._types import PRNGKey
 from irisjax.infer.importance import DRAWS, Approximation, importance_sample
 from irisjax.infer.moves import mixture
 from irisjax.infer.store import ChainStart, Store
+from irisjax.numerics.streams import words_of
 
 TAUS, ESS, RHAT = 50, 1000, 1.03
 """A chain is long enough with 50 autocorrelation times, 1,000 effective samples of every parameter,
@@ -186,14 +186,10 @@ def check_run(
     assert start is not None
     same = start.owner == _owner(target, key) and start.places.shape == (walkers, free)
     # A chain belongs to the density that its walkers had where they started.
-    if not same or not _equal(target.log_density(start.places), start.log_density):
+    near = {"rtol": 1e-9, "atol": 1e-9, "equal_nan": True}
+    if not same or not np.allclose(target.log_density(start.places), start.log_density, **near):
         said = "made from other data or settings; it cannot be resumed with these"
         raise ValueError(f"{store}: {said}")
-
-
-def words_of(key: PRNGKey) -> list[int]:
-    """Return the numbers of a key."""
-    return [int(word) for word in np.ravel(jax.random.key_data(key))]
 
 
 def diagnose(store: Store) -> Chains:
@@ -260,10 +256,6 @@ def _first(target: Density, start: Approximation, walkers: int, key: PRNGKey, re
 
 def _owner(target: Density, key: PRNGKey) -> str:
     return f"{', '.join(target.names)}; key {words_of(key)}"
-
-
-def _equal(one: np.ndarray, other: np.ndarray) -> bool:
-    return np.allclose(one, other, rtol=1e-9, atol=1e-9, equal_nan=True)
 
 
 def _advance(

@@ -21,6 +21,7 @@ from irisjax.measure.instrument import AbstractInstrument
 from irisjax.measure.observe import observed, prepared
 from irisjax.numerics.checks import check_known, check_range
 from irisjax.numerics.chunks import by_rows, in_pieces
+from irisjax.numerics.streams import words_of
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.scattering import PowerLaw
 from irisjax.transport import defaults
@@ -353,7 +354,7 @@ def predicted(problem: Problem, z: Float[np.ndarray, "n free"], key: PRNGKey) ->
     log likelihoods of the data, of each observation; and log prior densities (n, free).
     """
     # Drawn on the host: a random generator takes longer to compile than the model.
-    random, nu = np.random.default_rng(np.ravel(jax.random.key_data(key))), None
+    random, nu = np.random.default_rng(words_of(key)), None
     if problem.noise.degrees_of_freedom is not None:
         nu = float(problem.noise.degrees_of_freedom)
     shapes = [(len(z), o.values.shape[-1]) for o in problem.observations]

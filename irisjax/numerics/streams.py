@@ -4,6 +4,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Integer, UInt32
 
 from irisjax._types import PRNGKey, Scalar
@@ -25,6 +26,11 @@ def checked_key(key: Any) -> PRNGKey:
     if "threefry" not in str(jax.random.key_impl(key)):
         raise ValueError(f"key must be of the threefry2x32 kind, got {jax.random.key_impl(key)}")
     return key
+
+
+def words_of(key: PRNGKey) -> list[int]:
+    """Return the numbers of a key, which seed NumPy's generators."""
+    return [int(word) for word in np.ravel(jax.random.key_data(key))]
 
 
 def fold_in_words(k0: Word, k1: Word, count: Word) -> tuple[Word, Word]:

@@ -11,11 +11,11 @@ import operator
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import jax
 import numpy as np
 
 from irisjax._types import PRNGKey
 from irisjax.numerics.checks import Range, check_known, check_range, check_whole
+from irisjax.numerics.streams import words_of
 from irisjax.ocularist.coats import texels
 from irisjax.ocularist.strokes import (
     Annulus,
@@ -161,7 +161,7 @@ class Component:
         """
         check_whole("size", size, *_SIZES)
         check_range("pupil", pupil, _PUPIL)
-        rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
+        rng = np.random.default_rng(words_of(key))
         ring, radius = Annulus(float(pupil)), np.hypot(*texels(size, np.float32))
         drawn: Any = 0.0
         if self.paint is not None:

@@ -20,6 +20,7 @@ from scipy.ndimage import gaussian_filter
 from irisjax._types import PRNGKey, as_float
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import Range, check_range, check_whole
+from irisjax.numerics.streams import words_of
 from irisjax.ocularist import plan
 from irisjax.ocularist.coats import over, through
 from irisjax.ocularist.mixing import AbstractMixer
@@ -276,7 +277,7 @@ def _drawn(known: _Known, eye: Eye, most: int, key: PRNGKey) -> np.ndarray:
     radius = (np.arange(known.shape[1]) + 0.5) / known.shape[1]
     area = np.where(known, np.asarray(eye.from_axis(radius)), 0.0).ravel()
     count = min(most, int(known.sum()))
-    rng = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
+    rng = np.random.default_rng(words_of(key))
     return np.sort(rng.choice(area.size, count, replace=False, p=area / area.sum()))
 
 

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
@@ -11,6 +10,7 @@ from skimage import filters, measure
 
 from irisjax._types import PRNGKey
 from irisjax.measure.colour import XYZ_TO_SRGB, lab_of, srgb_encode
+from irisjax.numerics.streams import words_of
 from irisjax.photo.clone import Outlined
 from irisjax.photo.masks import Part, part_of, regions_that
 from irisjax.photo.photograph import Brightness, Colours, Ellipse, Mask
@@ -156,7 +156,7 @@ def measure_eye_colour(
     Raises:
         ValueError: If no white is seen, or hardly any of the iris.
     """
-    random = np.random.default_rng(np.asarray(jax.random.key_data(key)).ravel())
+    random = np.random.default_rng(words_of(key))
     depth = depth_in_iris(part.outside.shape, pupil, part.limbus)
     inner, outer = RINGS["pupillary ring"][0], RINGS["ciliary ring"][1]
     iris = (depth > inner) & (depth < outer)
