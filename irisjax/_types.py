@@ -28,9 +28,6 @@ Scalar: TypeAlias = Float[Array, ""]
 Spectrum: TypeAlias = Float[Array, " wavelengths"]
 """One value a wavelength."""
 
-Cosines: TypeAlias = Float[Array, " angles"]
-"""Cosines to the layer normal, in (0, 1]."""
-
 PRNGKey: TypeAlias = Key[Array, ""]
 """A new-style key, `jax.random.key(seed)`."""
 

@@ -11,7 +11,6 @@ from scipy.spatial import KDTree
 
 from irisjax._types import as_float
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.checks import Range, check_range
 from irisjax.ocularist.coats import Painting
 from irisjax.ocularist.plan import TEXTURE_SHAPE, Difference, difference, lab, texture_of
 from irisjax.render.albedo import Matt
@@ -28,7 +27,6 @@ PHEOMELANIN = np.geomspace(0.1, 6.0, 16)
 STROMA = np.geomspace(0.25, 1.5, 12)
 """Trial thicknesses of the stroma, likewise."""
 
-_EXPOSURE = Range(0.0, 1000.0, meaning="of tissue against paint", above=True)
 # ΔE*ab that a factor of e from the iris's own pigments and thickness costs. Colours alone leave the
 # pigments of neighbouring texels undetermined, and maps are interpolated between texels.
 _PULL = 0.3
@@ -76,26 +74,23 @@ def nearest_tissue(
     eye: Eye,
     *,
     shape: tuple[int, int] = TEXTURE_SHAPE,
-    exposure: float | None = None,
 ) -> Tissue:
     """Find maps of both melanins and of the stroma's thickness that look most like paint in plan
     view.
 
     Each texel takes the nearest in L*a*b* of a table over `EUMELANIN`, `PHEOMELANIN` and `STROMA`.
     Some colours of paint (greens, violets, anything light and saturated) are none of tissue; `left`
-    of the result is the remaining difference. The heights of coats are not used.
+    of the result is the remaining difference, at the exposure, from 1 to 64, that leaves the least
+    on average. The heights of coats are not used.
 
     Args:
         painting: The painted iris.
         eye: Eye whose iris was painted.
         shape: (angles, radii) of the maps.
-        exposure: Factor on the tissue's reflectance before the two are compared; by default the
-            one, from 1 to 64, that leaves the least mean difference.
 
     Raises:
-        ValueError: as for `texture_of`, and for an exposure out of range.
+        ValueError: as for `texture_of`.
     """
-    check_range("exposure", exposure, _EXPOSURE)
     iris = Iris()
     paint = texture_of(painting, eye, shape)
     wanted = np.asarray(lab(paint), np.float64).reshape(-1, 3)
@@ -103,14 +98,13 @@ def nearest_tissue(
     tried = _maps(scales.reshape(len(EUMELANIN), -1, 3), iris)
     colours = reflectance_of(iris, tried, eye).reshape(-1, 3)
     scales = scales.reshape(-1, 3)
-    if exposure is None:
-        some = wanted[:: max(1, len(wanted) // _TEXELS)]
-        costs = [_nearest(some, colours, scales, factor)[0].mean() for factor in _EXPOSURES]
-        exposure = float(_EXPOSURES[int(np.argmin(costs))])
+    some = wanted[:: max(1, len(wanted) // _TEXELS)]
+    costs = [_nearest(some, colours, scales, factor)[0].mean() for factor in _EXPOSURES]
+    exposure = float(_EXPOSURES[int(np.argmin(costs))])
     chosen = _nearest(wanted, colours, scales, exposure)[1]
     maps = _maps(scales[chosen].reshape(*shape, 3), iris)
     again = reflectance_of(iris, maps, eye) * as_float(exposure)
-    return Tissue(iris, maps, float(exposure), difference(again, paint.astype(again.dtype)))
+    return Tissue(iris, maps, exposure, difference(again, paint.astype(again.dtype)))
 
 
 def _maps(scales: np.ndarray, iris: Iris) -> IrisMaps:

@@ -81,7 +81,6 @@ class Environment(eqx.Module):
         sun_azimuth: float = 2.0,
         *,
         sun: float = 4.0,
-        sky: float = 1.0,
         rows: int = 128,
     ) -> "Environment":
         """An invented clear day: a blue gradient, a white horizon, a grey-green floor and a blurred
@@ -89,8 +88,7 @@ class Environment(eqx.Module):
 
         `sun_polar`, `sun_azimuth`: as of `Lights.distant`, from −z and from +x to +y, radians;
         below the horizon nothing hides it. `sun`: its irradiance on a surface that faces it; its
-        glare spans about two texels. `sky` scales all the rest. It is a picture of a sky, no model
-        of the atmosphere.
+        glare spans about two texels. It is a picture of a sky, no model of the atmosphere.
         """
         d = _directions(rows, 2 * rows)
         up = d[..., 1:2]
@@ -102,7 +100,7 @@ class Environment(eqx.Module):
         glare = np.exp(-((d - towards) ** 2).sum(-1) / 2 / (np.pi / rows) ** 2)
         glare = glare / (glare * _solid_angles(rows, 2 * rows)).sum()
         warm = np.array([1.05, 0.99, 0.9])
-        return cls(sky * gradient + sun * glare[..., None] * (warm / (warm @ LUMINANCE)))
+        return cls(gradient + sun * glare[..., None] * (warm / (warm @ LUMINANCE)))
 
     @classmethod
     def uniform(cls, radiance: ArrayLike = 1.0, *, rows: int = 32) -> "Environment":

@@ -16,7 +16,7 @@ from jax import Array
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import check_known
 from irisjax.render.camera import Camera
-from irisjax.render.environment import Environment
+from irisjax.render.environment import ENVIRONMENTS, Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractResponse
 from irisjax.render.lights import Lights
@@ -25,11 +25,7 @@ from irisjax.render.project import View, look, project
 from irisjax.render.scene import Scene
 
 GIVEN = "as given"
-SURROUNDS: dict[str, Callable[[], Environment] | None] = {
-    "none": None,
-    "studio": Environment.studio,
-    "sky": Environment.sky,
-}
+SURROUNDS = "none", "studio", "sky"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -189,7 +185,7 @@ class Session(abc.ABC, Generic[S]):
     def environments(self) -> tuple[str, ...]:
         """Environments to choose from."""
         given = (GIVEN,) if self.settings.environment == GIVEN else ()
-        return given + tuple(SURROUNDS)
+        return given + SURROUNDS
 
     def _start(self) -> dict[str, Any]:
         """Settings of the scene as it was given."""
@@ -237,10 +233,10 @@ class Session(abc.ABC, Generic[S]):
         }
 
     def _around(self, s: S) -> Environment | None:
+        found = self._base.environment
         if s.environment != GIVEN:
             check_known("environment", s.environment, SURROUNDS)
-        make = SURROUNDS.get(s.environment, lambda: self._base.environment)
-        found = None if make is None else make()
+            found = None if s.environment == "none" else ENVIRONMENTS[s.environment]()
         if found is None or s.strength == 0:
             return None
         return Environment(found.radiance * s.strength)
