@@ -137,13 +137,13 @@ def many(
 def _eyes(source: Path, reading: io.ReadOptions) -> Eyes:
     """Spectra by name, or why one cannot be read."""
     if not source.is_dir():
-        found = io.read_eyes(source, reading)
+        found = io.read_eyes(source, **reading)
         faults = {n: e for n, e in found.items() if isinstance(e, ValueError)}
         return found | {n: ValueError(f"{source}: {e}") for n, e in faults.items()}
     eyes: dict[str, Measured | ValueError] = {}
     for path in sorted(p for p in source.iterdir() if p.suffix.lower() in _SUFFIXES):
         try:
-            eyes[path.stem] = io.read_measured(path, **reading._asdict())
+            eyes[path.stem] = io.read_measured(path, **reading)
         except ValueError as error:
             eyes[path.stem] = error
     return eyes

@@ -13,7 +13,6 @@ from irisjax.cli.fit_options import FitResults, Measurements, Model, Sampler
 from irisjax.cli.options import dashed, grouped, notice
 from irisjax.io.tables import naming
 from irisjax.plot.beside import beside, here
-from irisjax.transport.process import DEPTH_RESOLVED, option_of
 
 _NOT_CONVERGED = 3
 
@@ -60,7 +59,7 @@ def fit_command(
     seen = measured.seen
     observations, headers = [], []
     for path in spectra:
-        table = io.read_measured(path, **measured.reading._asdict())
+        table = io.read_measured(path, **measured.reading)
         for said in (*table.notes, *(f"WARNING: {doubt}" for doubt in table.doubts)):
             notice(f"{path}: {said}")
         if measured.bands is not None:
@@ -81,8 +80,7 @@ def fit_command(
             folder.mkdir(parents=True, exist_ok=True)
             if not results.resume:
                 (folder / "chain.h5").unlink(missing_ok=True)
-        if model.process is None and problem.process != DEPTH_RESOLVED:
-            notice(f"read by {option_of(problem.process)}, by which irisjax simulated the file")
+        model.notice_process(problem)
         resume = results.resume
         converged = report.one(problem, folder, sampler, bar, resume=resume, draw=draw)
     raise typer.Exit(0 if converged else _NOT_CONVERGED)

@@ -9,7 +9,7 @@ import jax
 import irisjax as ij
 from irisjax import io
 from irisjax.cli import options as opt
-from irisjax.cli.light import aperture, bands_file, bands_told, bandwidth, crossing
+from irisjax.cli.light import BandOptions, crossing
 from irisjax.infer.observation import RADIANCE, REFLECTANCE
 from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
 from irisjax.infer.priors import AbstractPrior, prior_of
@@ -78,7 +78,7 @@ def _prior(text: str) -> tuple[str, AbstractPrior]:
     return name, prior_of(value, *PARAMETERS[name].support)
 
 
-class SpectralMeasurement(opt.Group, panel="Measurement"):
+class SpectralMeasurement(BandOptions):
     """Options that describe a measured spectrum, or a cube of them."""
 
     relative_noise: float = opt.number(
@@ -98,8 +98,6 @@ class SpectralMeasurement(opt.Group, panel="Measurement"):
     wavelengths: Span | None = opt.option(
         "leave out wavelengths outside this range, nm", parse=_span, metavar="LOW:HIGH"
     )
-    bandwidth: float | None = bandwidth()
-    bands: Path | None = bands_file()
     cos_incidence: float | str = opt.option(
         "of the light's angle from the normal, 0 to 1; or diffuse",
         1.0,
@@ -108,16 +106,13 @@ class SpectralMeasurement(opt.Group, panel="Measurement"):
     )
     cornea: str = crossing()
     first_surface: bool = opt.flag("the iris's own mirror reflection is in the data", True)
-    aperture: float | None = aperture()
 
     @property
     def seen(self) -> dict[str, Any]:
         """Geometry and bands of the instrument, as arguments of `irisjax.spectrum`."""
         return {
-            **{
-                name: getattr(self, name) for name in ("cos_incidence", "first_surface", "aperture")
-            },
-            "bands": bands_told(self.bandwidth, self.bands),
+            **{n: getattr(self, n) for n in ("cos_incidence", "first_surface", "aperture")},
+            "bands": self.read_bands(),
             "cornea": None if self.cornea == "auto" else self.cornea,
         }
 
@@ -174,7 +169,7 @@ class Measurements(SpectralMeasurement):
             **super().seen,
             "quantity": RADIANCE if self.quantity == RADIANCE else REFLECTANCE,
             "illuminant": self.illuminant,
-            "bands": bands_told(self.bandwidth, self.bands, lamp),
+            "bands": self.read_bands(lamp),
             "boxcar": self.boxcar,
             "correlated": self.correlated_noise,
             "covariance": None if self.covariance is None else io.read_square(self.covariance),
@@ -183,7 +178,8 @@ class Measurements(SpectralMeasurement):
     @property
     def reading(self) -> ReadOptions:
         """Options of `irisjax.io.read_measured`."""
-        return ReadOptions(**{name: getattr(self, name) for name in ReadOptions._fields})
+        names: Any = ReadOptions.__annotations__
+        return ReadOptions(**{name: getattr(self, name) for name in names})
 
 
 class PixelModel(opt.Group, panel="Model"):
@@ -217,6 +213,11 @@ class PixelModel(opt.Group, panel="Model"):
             "priors": dict(self.prior or ()),
             "process": PROCESSES[self.process or process_of(headers)],
         }
+
+    def notice_process(self, problem: ij.Problem) -> None:
+        """Print the process that a file, and not an option, has chosen."""
+        if self.process is None and problem.process != DEPTH_RESOLVED:
+            opt.notice(f"read by {option_of(problem.process)}, by which irisjax simulated the file")
 
 
 class Model(PixelModel):

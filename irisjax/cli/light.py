@@ -34,37 +34,33 @@ def crossing() -> Any:
     return opt.choice(words, ("auto", *get_args(Crossing)), "auto")
 
 
-def bandwidth() -> Any:
-    """Make the option of the width of an instrument's slit."""
-    words = "full width at half maximum of the instrument's slit, a Gaussian; {}"
-    return opt.number(words, BANDWIDTH, metavar="NM", overrules=("bands",))
+class BandOptions(opt.Group, panel="Measurement"):
+    """Slit, filters or a camera's channels, and what collects the light."""
 
-
-def bands_file() -> Any:
-    """Make the option of a table of bands."""
-    words = (
+    bandwidth: float | None = opt.number(
+        "full width at half maximum of the instrument's slit, a Gaussian; {}",
+        BANDWIDTH,
+        metavar="NM",
+        overrules=("bands",),
+    )
+    bands: Path | None = opt.option(
         "table of the bands of a camera or of filters: columns centre and fwhm (nm), or each "
-        "band's sensitivity beside the wavelengths"
+        "band's sensitivity beside the wavelengths",
+        metavar="FILE",
+        overrules=("bandwidth",),
     )
-    return opt.option(words, metavar="FILE", parse=Path, overrules=("bandwidth",))
-
-
-def aperture() -> Any:
-    """Make the option of the cone from which light is collected."""
-    words = (
+    aperture: float | None = opt.number(
         "numerical aperture, in air, of the fibre or lens along the normal that collects the "
-        "light, {}; 0 for 45/0; default: all light sent back, as in a sphere"
+        "light, {}; 0 for 45/0; default: all light sent back, as in a sphere",
+        NUMERICAL_APERTURE,
+        metavar="NA",
     )
-    return opt.number(words, NUMERICAL_APERTURE, metavar="NA")
 
-
-def bands_told(
-    bandwidth: float | None, bands: Path | None, illuminant: str | None = None
-) -> Passbands | float | None:
-    """Return the argument `bands` of an instrument."""
-    if bandwidth is not None and bands is not None:
-        raise ValueError("give --bandwidth or --bands, not both")
-    return bandwidth if bands is None else io.read_passbands(bands, illuminant)
+    def read_bands(self, illuminant: str | None = None) -> Passbands | float | None:
+        """Return the argument `bands` of an instrument."""
+        if self.bandwidth is not None and self.bands is not None:
+            raise ValueError("give --bandwidth or --bands, not both")
+        return self.bandwidth if self.bands is None else io.read_passbands(self.bands, illuminant)
 
 
 def _wavelengths(default: str, names: str = "") -> Any:
@@ -132,12 +128,8 @@ class EyeLight(LightOptions):
         return {**super().before_the_iris(), "first_surface": self.first_surface, **cornea}
 
 
-class BandedLight(EyeLight):
+class BandedLight(BandOptions, EyeLight):
     """Light that is read through a slit, filters or a camera's channels."""
-
-    bandwidth: float | None = bandwidth()
-    bands: Path | None = bands_file()
-    aperture: float | None = aperture()
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -149,8 +141,8 @@ class BandedLight(EyeLight):
         found = super().before_the_iris()
         if self.aperture is not None:
             found["aperture"] = self.aperture
-        told = bands_told(self.bandwidth, self.bands)
-        return found if told is None else {**found, "bands": told}
+        bands = self.read_bands()
+        return found if bands is None else {**found, "bands": bands}
 
     def settings(self) -> dict[str, Any]:
         """Return the options to write: those given, without wavelengths where bands have theirs."""
@@ -218,23 +210,23 @@ class SpectrumLight(BandedLight):
         super().__post_init__()
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
-        told = self.before_the_iris()
+        how = self.before_the_iris()
         if self.instrument == "radiance":
-            return ij.Radiometer(grid, illuminant=self.illuminant, **told)
+            return ij.Radiometer(grid, illuminant=self.illuminant, **how)
         if self.instrument == "reflectance":
-            return ij.Spectrophotometer(grid, **told)
+            return ij.Spectrophotometer(grid, **how)
         if self.instrument == "transmittance":
-            return ij.Transmissometer(grid, **told)
+            return ij.Transmissometer(grid, **how)
         degrees, angle = self._exit_and_polariser()
-        told |= {
+        how |= {
             "cos_exit": degrees if isinstance(degrees, str) else math.cos(math.radians(degrees)),
             "azimuth": math.radians(self.exit_azimuth_deg),
             "polariser": None if angle is None else math.radians(angle),
         }
         if self.instrument == "degree-of-polarisation":
-            return ij.Polarimeter(grid, **told)
+            return ij.Polarimeter(grid, **how)
         crossed = self.instrument == "cross-polarised"
-        return ij.Analyser(grid, "crossed" if crossed else "parallel", **told)
+        return ij.Analyser(grid, "crossed" if crossed else "parallel", **how)
 
     def settings(self) -> dict[str, Any]:
         """A polarimeter's defaults are written too."""
@@ -268,8 +260,8 @@ class BrdfLight(LightOptions):
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
         angle, azimuth = self.exits()
-        told = self.before_the_iris()
-        return ij.Goniophotometer(grid, cos_exit=np.cos(angle), azimuth=azimuth, **told)
+        how = self.before_the_iris()
+        return ij.Goniophotometer(grid, cos_exit=np.cos(angle), azimuth=azimuth, **how)
 
 
 class ColourLight(EyeLight):
@@ -282,8 +274,8 @@ class ColourLight(EyeLight):
     )
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
-        told = self.before_the_iris()
-        return ij.Colorimeter(grid, illuminant=self.illuminant, observer=self.observer, **told)
+        how = self.before_the_iris()
+        return ij.Colorimeter(grid, illuminant=self.illuminant, observer=self.observer, **how)
 
 
 class NoisyLight(BandedLight):

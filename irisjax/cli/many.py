@@ -72,9 +72,8 @@ class EyeTable:
         from tqdm import tqdm
 
         how: dict[str, Any] = {"total": len(self.eyes), "initial": len(self.rows)}
-        quiet = not sys.stderr.isatty()
         try:
-            with tqdm(unit=self.unit, desc="compiling", disable=quiet, **how) as bar:
+            with tqdm(unit=self.unit, desc="compiling", disable=None, **how) as bar:
                 yield bar
         finally:
             self._write()

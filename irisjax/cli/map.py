@@ -1,8 +1,6 @@
 """`irisjax map`: a hyperspectral cube in, maps of the iris's pigments with their deviations out."""
 
-import contextlib
 import math
-import sys
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -14,7 +12,6 @@ from tqdm import tqdm
 
 import irisjax as ij
 from irisjax import io
-from irisjax._interrupt import unfinished
 from irisjax.cli import options as opt
 from irisjax.cli.engine import Lost, Workers, each
 from irisjax.cli.files import check_folder
@@ -32,14 +29,14 @@ from irisjax.io.cubes import Reflectances, Rows, read_cube, read_map, read_refer
 from irisjax.io.maps import encode_maps
 from irisjax.io.measured import within_range
 from irisjax.io.sections import plain, toml_of
-from irisjax.io.tables import replacing
+from irisjax.io.tables import new_folder, replacing
 from irisjax.measure.passbands import Passbands
 from irisjax.numerics.checks import Range
 from irisjax.numerics.chunks import cores
 from irisjax.photo.photograph import Ellipse
 from irisjax.plot import flags_figure, maps_figure, picture
 from irisjax.tissue.maps import cell_centres
-from irisjax.transport.process import DEPTH_RESOLVED, Ilit, option_of
+from irisjax.transport.process import Ilit, option_of
 
 _CHUNK = 1 << 14  # pixels that are read and fitted at a time
 _SAMPLE = 1024  # pixels of the coarse level, in which all others find their starts
@@ -164,7 +161,7 @@ def map_command(
         flow = None
         if posterior.posterior:
             flow = flow_for(problem, posterior.flows or folder / "flows", posterior.seed, pool.map)
-        with _new_folder(folder), replacing(folder / "maps.nc") as made:
+        with new_folder(folder), replacing(folder / "maps.nc") as made:
             how = _Fitting(problem, starts, flow, posterior.seed)
             counts = _written(made, source, how, measured, workers)
             _draw(made, folder, problem, outlines, posterior.posterior)
@@ -212,8 +209,7 @@ def _stated(
     blank = ij.spectrum(grid[used], np.zeros(used.size), name=str(cube.path), **seen)
     noise: Any = measured.relative_noise, measured.absolute_noise
     problem = ij.problem(blank, noise=ij.Noise(*noise), **model.stated([cube.header]))
-    if model.process is None and problem.process != DEPTH_RESOLVED:
-        opt.notice(f"read by {option_of(problem.process)}, by which irisjax simulated the file")
+    model.notice_process(problem)
     white, dark = (
         None if path is None else read_reference(path, cube, **how)
         for path in (measured.white, measured.dark)
@@ -288,27 +284,25 @@ def _written(
     (rows, columns, _), counts = source.cube.shape, dict.fromkeys(FLAGS, 0)
     problem, flow = how.problem, how.flow
     names = problem.fitted
-    form = dict(zip(problem.free, map(repr, problem.priors), strict=True))
+    priors = {n: {"prior": repr(p)} for n, p in zip(problem.free, problem.priors, strict=True)}
     variables: dict[str, Any] = {}
+
+    def declare(name: str, *axes: str, **said: str) -> None:
+        variables[name] = axes, "f4", {**said, "_FillValue": np.float32(np.nan)}
+
     for name in (*names, *(["abl_melanin"] if _has_abl(names) else [])):
-        said = {"units": unit_of(name) or "1", "_FillValue": np.float32(np.nan)}
-        prior = {"prior": form[name]} if name in form else {}
-        variables[name] = (), "f4", {**said, **prior}
-        variables[f"{name}_sd"] = (), "f4", {**said, "long_name": f"standard deviation of {name}"}
+        units = unit_of(name) or "1"
+        declare(name, units=units, **priors.get(name, {}))
+        declare(f"{name}_sd", units=units, long_name=f"standard deviation of {name}")
         for what in ("mean", "sd") if flow is not None else ():
-            words = {"long_name": f"{what} of the posterior of {name}"}
-            variables[f"{name}_posterior_{what}"] = (), "f4", {**said, **words}
-    wide = {"long_name": "covariance of the parameters in their units"}
-    variables["covariance"] = (
-        ("parameter", "other"),
-        "f4",
-        {**wide, "_FillValue": np.float32(np.nan)},
-    )
-    misfit = {"long_name": "sum of squared residuals over the number of bands", "units": "1"}
-    variables["reduced_chi_square"] = (), "f4", {**misfit, "_FillValue": np.float32(np.nan)}
+            words = f"{what} of the posterior of {name}"
+            declare(f"{name}_posterior_{what}", units=units, long_name=words)
+    words = "covariance of the parameters in their units"
+    declare("covariance", "parameter", "other", long_name=words)
+    words = "sum of squared residuals over the number of bands"
+    declare("reduced_chi_square", units="1", long_name=words)
     if flow is not None:
-        share = {"long_name": "share of effective draws of the flow", "units": "1"}
-        variables["efficiency"] = (), "f4", {**share, "_FillValue": np.float32(np.nan)}
+        declare("efficiency", units="1", long_name="share of effective draws of the flow")
     variables["flag"] = (), "u1", {
         "flag_masks": np.array([int(f) for f in FLAGS], np.uint8),
         "flag_meanings": " ".join(w.replace(" ", "_") for w in FLAGS.values()),
@@ -322,10 +316,9 @@ def _written(
     if "simulated" in source.cube.header:
         attributes["simulated"] = source.cube.header["simulated"]
     along = {"parameter": names, "other": names}
-    shown: dict[str, Any] = {"unit": "pixel", "disable": not sys.stderr.isatty()}
     with (
         writing_maps(path, (rows, columns), variables, along, attributes) as write,
-        tqdm(total=rows * columns, **shown) as bar,
+        tqdm(total=rows * columns, unit="pixel", disable=None) as bar,
     ):
         for first, done in each(_fitted, _Pieces(source, how), workers):
             if isinstance(done, Lost):
@@ -486,29 +479,11 @@ def _medians(path: Path, problem: ij.Problem) -> dict[str, list[str]]:
     names = [*(["abl_melanin"] if _has_abl(names) else []), *names]
     rows, columns = read_map(path, "flag").shape
     step = max(1, max(rows, columns) // _SHOWN)
-    table: dict[str, list[str]] = {
-        n: [] for n in ("parameter", "unit", "median", "68 % of pixels", "sd")
-    }
+    rows = []
     for name in names:
         low, middle, high = np.nanpercentile(read_map(path, name, step), (16, 50, 84))
         sd = np.nanmedian(read_map(path, f"{name}_sd", step))
-        cells = name, unit_of(name), f"{middle:.3g}", f"{low:.3g} to {high:.3g}", f"{sd:.2g}"
-        for column, cell in zip(table.values(), cells, strict=True):
-            column.append(cell)
-    return table
-
-
-@contextlib.contextmanager
-def _new_folder(folder: Path) -> Iterator[None]:
-    """Make a folder, and remove it where the work fails."""
-    if folder.exists():
-        yield
-        return
-    with unfinished(folder):
-        folder.mkdir(parents=True)
-        try:
-            yield
-        except BaseException:
-            with contextlib.suppress(OSError):
-                folder.rmdir()
-            raise
+        numbers = f"{middle:.3g}", f"{low:.3g} to {high:.3g}", f"{sd:.2g}"
+        rows.append((name, unit_of(name), *numbers))
+    heads = "parameter", "unit", "median", "68 % of pixels", "sd"
+    return {n: list(cells) for n, *cells in zip(heads, *rows, strict=True)}

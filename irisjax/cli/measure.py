@@ -1,7 +1,6 @@
 """`irisjax spectrum`, `brdf`, `colour`, `simulate-measurement`: virtual instruments, CSV out."""
 
 import re
-import sys
 from typing import Any
 
 import jax
@@ -170,8 +169,8 @@ def _measured(iris, instrument, solver: AbstractSolver, key: jax.Array | None) -
     if not isinstance(solver, MonteCarlo):
         return observe(iris, instrument, solver, key=key)
     # `delay`: runs of less than a second need no bar.
-    how = {"unit": "photon", "unit_scale": True, "delay": 1, "disable": not sys.stderr.isatty()}
-    with tqdm(total=solver.n_photons, **how) as bar:
+    how = {"unit": "photon", "unit_scale": True, "delay": 1}
+    with tqdm(total=solver.n_photons, disable=None, **how) as bar:
         return observe(iris, instrument, solver, key=key, progress=bar.update)
 
 

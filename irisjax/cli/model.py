@@ -46,17 +46,15 @@ def _blood(name: str) -> Any:
     return opt.number(words, metavar=BLOOD[name].unit or "number")
 
 
-def _fraction(name: str) -> Any:
-    """Option of a melanin of a layer by its volume."""
-    words = f"{FRACTIONS[name].meaning}; sets F09's absorption, all four are needed"
-    return opt.number(words, metavar=FRACTIONS[name].unit, overrules=_MELANINS)
-
-
 # An option for each number of an iris, in the order of its fields; the class defines the others.
 _CHOICES = "scattering", *POWER_LAW_LIMITS, "absorption"
 _NAMES = ("level", *LIMITS, "melanin_load", *BLOOD, *_CHOICES, *FRACTIONS)
 _FIELDS: dict[str, Any] = {n: _field(n) if n in RANGES else None for n in _NAMES}
-_FIELDS |= {n: _fraction(n) for n in FRACTIONS}
+_ALL_FOUR = "sets F09's absorption, all four are needed"
+_FIELDS |= {
+    n: opt.number(f"{volume.meaning}; {_ALL_FOUR}", metavar=volume.unit, overrules=_MELANINS)
+    for n, volume in FRACTIONS.items()
+}
 _FIELDS["__annotations__"] = dict.fromkeys(_NAMES, float | None)
 _Numbers: type[opt.Group] = type("_Numbers", (opt.Group,), _FIELDS, panel="Iris")
 

@@ -68,6 +68,7 @@ def gltf_files(
         haze: Transmittance of one passage of the cornea, linear sRGB; `None` for a clear one.
     """
     import trimesh
+    from PIL import Image
     from trimesh.visual import TextureVisuals
     from trimesh.visual.material import PBRMaterial
 
@@ -89,7 +90,8 @@ def gltf_files(
     for name, mesh in bodies.items():
         half = halves.get(name)
         uv = None if half is None else 0.5 + mesh.vertices[:, :2] / (2 * float(half))
-        images = {slot: _image(values) for slot, values in textures.get(name, {}).items()}
+        given = textures.get(name, {})
+        images: Any = {slot: Image.fromarray(to_steps(x, 8)[0]) for slot, x in given.items()}
         visual = TextureVisuals(uv=uv, material=PBRMaterial(name=name, **images))
         if "alpha" in mesh.vertex_attributes:
             opacity = np.rint(255 * mesh.vertex_attributes["alpha"])[:, None]
@@ -229,12 +231,6 @@ def _square(side: int, half: Any) -> tuple[Array, Array]:
     line = ((2 * jnp.arange(side) + 1) / side - 1) * half
     x, y = jnp.meshgrid(line, -line)
     return x.ravel(), y.ravel()
-
-
-def _image(encoded: Any) -> Any:
-    from PIL import Image
-
-    return Image.fromarray(to_steps(encoded, 8)[0])
 
 
 def _disc(iris: "Trimesh") -> "Trimesh":

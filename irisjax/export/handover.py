@@ -20,7 +20,7 @@ from irisjax.export.mesh import eye_meshes, mesh_files, right_handed, strip_mesh
 from irisjax.export.mitsuba import WIDEST, filled, mitsuba_scene
 from irisjax.io.images import encode_exr, encode_png, spectral_channels
 from irisjax.io.maps import encode_maps
-from irisjax.io.tables import format_table, write_together
+from irisjax.io.tables import format_table, new_folder, write_together
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import check_known
 from irisjax.render.albedo import CONE, LambertError, Matt
@@ -85,14 +85,8 @@ def export_scene(
     folder = Path(folder)
     check_new_folder(folder)
     data, clipped, error = _contents(scene, spacing, form)
-    made = not folder.exists()
-    folder.mkdir(exist_ok=True)
-    try:
+    with new_folder(folder):
         write_together({folder / name: content for name, content in data.items()})
-    except BaseException:
-        if made:
-            folder.rmdir()
-        raise
     return Exported({name: folder / name for name in data}, clipped, error)
 
 

@@ -5,7 +5,7 @@ wavelengths in nm and reflectances as fractions (or radiances).
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict, Unpack
 
 import numpy as np
 import scipy.ndimage
@@ -72,8 +72,8 @@ class Measured(NamedTuple):
     bandwidth: float | None = None
 
 
-class ReadOptions(NamedTuple):
-    """How to read a file; `None` means as the file says, or by its numbers.
+class ReadOptions(TypedDict, total=False):
+    """How to read a file; what is absent or `None` is as the file says, or by its numbers.
 
     Attributes:
         quantity: One of `QUANTITIES`.
@@ -84,25 +84,16 @@ class ReadOptions(NamedTuple):
         sd: The same of its standard deviation.
     """
 
-    quantity: str | None = None
-    unit: str | None = None
-    wavelength_unit: str | None = None
-    wavelengths: tuple[float, float] | None = None
-    column: str | None = None
-    sd: str | None = None
+    quantity: str | None
+    unit: str | None
+    wavelength_unit: str | None
+    wavelengths: tuple[float, float] | None
+    column: str | None
+    sd: str | None
 
 
-def read_measured(
-    path: str | Path,
-    *,
-    quantity: str | None = None,
-    unit: str | None = None,
-    wavelength_unit: str | None = None,
-    wavelengths: tuple[float, float] | None = None,
-    column: str | None = None,
-    sd: str | None = None,
-) -> Measured:
-    """Read a measured spectrum; see `ReadOptions` for the arguments.
+def read_measured(path: str | Path, **how: Unpack[ReadOptions]) -> Measured:
+    """Read a measured spectrum, as `ReadOptions` say, such as `quantity="absorbance"`.
 
     Text tables in UTF-8, UTF-16, cp1252 or Shift-JIS, separated by tabs, semicolons, commas or
     blanks, with decimal points or commas, below any preamble; a spectrum a row or a column; Excel,
@@ -120,14 +111,14 @@ def read_measured(
         ValueError: naming the file, the row and the problem, such as numbers that are no
             reflectances, or could be fractions as well as per cent.
     """
-    how = ReadOptions(quantity, unit, wavelength_unit, wavelengths, column, sd)
+    chosen = (how.get(name) for name in ("quantity", "column", "sd"))
     with naming(path):
         _check(how)
         table = read_spectral_table(path)
-        return _spectrum(table, how, select(table, quantity, column, sd))
+        return _spectrum(table, how, select(table, *chosen))
 
 
-def read_eyes(path: str | Path, how: ReadOptions | None = None) -> dict[str, Measured | ValueError]:
+def read_eyes(path: str | Path, **how: Unpack[ReadOptions]) -> dict[str, Measured | ValueError]:
     """Read the spectra of many eyes in one table, a column or a row each.
 
     A standard deviation belongs to the eye that its name names, and columns or rows of one name are
@@ -139,25 +130,24 @@ def read_eyes(path: str | Path, how: ReadOptions | None = None) -> dict[str, Mea
     Raises:
         ValueError: naming the file and a problem of the whole table.
     """
-    how = how or ReadOptions()
     found: dict[str, Measured | ValueError] = {}
     with naming(path):
         _check(how)
-        if how.column or how.sd:
+        if how.get("column") or how.get("sd"):
             raise ValueError("each column is an eye: no column can be chosen")
         table = read_spectral_table(path)
     for name, columns in eyes_of(table).items():
         try:
-            found[name] = _spectrum(table, how, select(table, how.quantity, among=columns))
+            found[name] = _spectrum(table, how, select(table, how.get("quantity"), among=columns))
         except ValueError as error:
             found[name] = error
     return found
 
 
 def _check(how: ReadOptions) -> None:
-    known = QUANTITIES, REFLECTANCE_UNITS, tuple(WAVELENGTH_UNITS)
-    for name, given, allowed in zip(how._fields, how, known, strict=False):
-        if given not in (None, *allowed):
+    known = {"quantity": QUANTITIES, "unit": REFLECTANCE_UNITS, "wavelength_unit": WAVELENGTH_UNITS}
+    for name, allowed in known.items():
+        if (given := how.get(name)) not in (None, *allowed):
             raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {given!r}")
 
 
@@ -173,8 +163,8 @@ def _spectrum(table: Columns, how: ReadOptions, chosen: Selection) -> Measured:
     if not kept.all():
         notes.append(f"{(~kept).sum()} of {kept.size} wavelengths without a value skipped")
     values, where = values[kept], where[kept]
-    x = _in_nm(values[:, 0], where, table.names[0], how.wavelength_unit, notes)
-    kept = within_range(x, how.wavelengths, notes)
+    x = _in_nm(values[:, 0], where, table.names[0], how.get("wavelength_unit"), notes)
+    kept = within_range(x, how.get("wavelengths"), notes)
     order = np.flatnonzero(kept)[np.argsort(x[kept], kind="stable")]
     x, where = x[order], where[order]
     for i in np.flatnonzero(np.diff(x) == 0)[:1]:
@@ -186,17 +176,17 @@ def _spectrum(table: Columns, how: ReadOptions, chosen: Selection) -> Measured:
         sd, chosen = sd[:, :0], chosen._replace(sd=None)
     elif sd.size:
         sd = sd * _factor_of_sd(table.names[used[-1]], scans)
-    if ELSE in table.header and not (how.quantity or chosen.role):
+    if ELSE in table.header and not (how.get("quantity") or chosen.role):
         said = f"the preamble or the name of the file says {table.header[ELSE]!r}"
         raise ValueError(f"{said}: give --quantity, {', '.join(QUANTITIES)}")
-    quantity = how.quantity or chosen.role or REFLECTANCE
+    quantity = how.get("quantity") or chosen.role or REFLECTANCE
     if quantity in (ABSORBANCE, KUBELKA_MUNK):
         form = "log10(1/R)" if quantity == ABSORBANCE else "(1 - R)²/2R"
         notes.append(f"{quantity} {form} converted to reflectance")
         scans, slope = _reflectance_of(scans, quantity)
         sd = slope[:, :1] * sd
     elif quantity == REFLECTANCE:
-        unit = _unit(scans, how.unit, chosen.label, table.header, notes)
+        unit = _unit(scans, how.get("unit"), chosen.label, table.header, notes)
         if chosen.sd is not None:
             _check_unit_of_sd(table.names[used[-1]], unit)
         scale = 100 if unit == "percent" else 1

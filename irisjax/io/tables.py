@@ -119,6 +119,22 @@ def replacing(path: str | Path) -> Iterator[Path]:
         raise
 
 
+@contextlib.contextmanager
+def new_folder(folder: Path) -> Iterator[None]:
+    """Make a folder if it is not there, and remove it again where the work fails."""
+    if folder.exists():
+        yield
+        return
+    with unfinished(folder):
+        folder.mkdir(parents=True)
+        try:
+            yield
+        except BaseException:
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+            raise
+
+
 def is_device(path: Path) -> bool:
     """Whether a path is a pipe or a device."""
     return path.exists() and not path.is_file() and not path.is_dir()
