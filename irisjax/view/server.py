@@ -46,7 +46,6 @@ def serve(
     port: int = 8080,
     *,
     ready: Callable[[str], None] = lambda address: None,
-    until: threading.Event | None = None,
 ) -> None:
     """Serve the viewer until Ctrl-C.
 
@@ -55,7 +54,6 @@ def serve(
         host: The address.
         port: The port; 0 takes a free one.
         ready: Is called with the page's address.
-        until: Ends the viewer when it is set.
 
     Raises:
         ValueError: As `check_address`.
@@ -72,9 +70,8 @@ def serve(
         try:
             page.worker.start()
             ready(f"http://{host}:{server.get_port()}")
-            until = threading.Event() if until is None else until
-            while not until.wait(0.5):  # a bare wait would not let Ctrl-C through everywhere
-                pass
+            while True:
+                time.sleep(0.5)
         except KeyboardInterrupt:
             pass
         finally:
