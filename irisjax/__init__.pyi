@@ -22,6 +22,7 @@ from .anatomy.media import Media as Media
 from .grow.lids import lids as lids
 from .grow.presets import preset as preset
 from .grow.procedural import procedural as procedural
+from .grow.pupil import irregular_pupil as irregular_pupil
 from .grow.vessels import veins as veins
 from .infer.analysis import Analysis as Analysis
 from .infer.analysis import analyse as analyse

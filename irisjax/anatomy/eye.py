@@ -36,6 +36,7 @@ EYE_LIMITS = {
     "pupil_radius": Range(0.25, 4.75, "mm"),
     "pupil_margin": Range(0.005, 1.2, "mm"),
     "pupil_centre": Range(-1, 1, "mm"),
+    "pupil_harmonics": Range(-0.05, 0.05),
     "radius": Range(8, 16, "mm"),
     "veins": Range(0, 10),
     "yellowing": Range(0, 10),
@@ -139,6 +140,8 @@ class Eye(eqx.Module):
             picture.
         pupil_centre: Middle of the pupil (x, y), mm from the axis; `None` on it. Circles on the
             iris that are concentric with its pupil or its root lie between the two.
+        pupil_harmonics: Cosine and sine of the second, third, … harmonic of the pupil's radius over
+            its angle, relative to `pupil_radius`; `None` for a round one.
         attenuation: Attenuation of the aqueous humour, 1/mm, or `None`: water absorbs 1e-4 over the
             chamber in the visible.
         lids: Lids, lashes and skin round it; `None` for none.
@@ -160,6 +163,7 @@ class Eye(eqx.Module):
     pupil_radius: Scalar = float_field(1.9)
     pupil_margin: Scalar = float_field(0.12)
     pupil_centre: Float[Array, "2"] | None = optional_field()
+    pupil_harmonics: Float[Array, "harmonics 2"] | None = optional_field()
     attenuation: Scalar | None = optional_field()
     lids: Lids | None = None
 
@@ -204,14 +208,37 @@ class Eye(eqx.Module):
         """Map relative radii to radii of rings, mm: the inverse of `relative_radius`."""
         return self.pupil_radius + (self.iris_radius - self.pupil_radius) * relative_radius
 
+    def ring_area(self, relative_radius: Numbers) -> Array:
+        """Compute the area (mm²) of thin rings over what they span of the relative radius."""
+        width = self.iris_radius - self.pupil_radius
+        return 2 * jnp.pi * width * self.from_axis(relative_radius)
+
     def ring_of(self, x: Numbers, y: Numbers) -> tuple[Array, Array, Array]:
         """Compute the relative radius of the ring through points of the iris, and the points
         relative to the middle of the ring, mm: the pupil's for 0, the axis for 1.
         """
         x, y = jnp.asarray(x), jnp.asarray(y)
+        edge, root = self.pupil_edge(x, y), self.iris_radius
         if self.pupil_centre is None:
-            return self.relative_radius(safe_sqrt(x * x + y * y)), x, y
-        return rings_between((x, y), self.pupil_centre, self.pupil_radius, self.iris_radius)
+            return (safe_sqrt(x * x + y * y) - edge) / (root - edge), x, y
+        return rings_between((x, y), self.pupil_centre, edge, root)
+
+    def pupil_edge(self, x: Numbers, y: Numbers) -> Array:
+        """Compute the radius of the pupil, mm, in the direction of points of the iris from its
+        middle.
+        """
+        if self.pupil_harmonics is None:
+            return self.pupil_radius
+        if self.pupil_centre is not None:
+            x, y = x - self.pupil_centre[0], y - self.pupil_centre[1]
+        r = safe_sqrt(x * x + y * y)
+        r = jnp.where(r > 0, r, 1.0)
+        u, v = cosine, sine = x / r, y / r
+        off = jnp.zeros_like(r)
+        for a, b in self.pupil_harmonics:
+            cosine, sine = u * cosine - v * sine, v * cosine + u * sine
+            off = off + a * cosine + b * sine
+        return self.pupil_radius * (1 + off)
 
     def _check_centre(self, centre: np.ndarray) -> None:
         if centre.shape != (2,):

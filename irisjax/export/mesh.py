@@ -75,7 +75,7 @@ def eye_meshes(eye: Eye, spacing: float = 0.1) -> "dict[str, Trimesh]":
     r = np.linspace(pupil, root, _steps(root - pupil, spacing))
     # A seam: the points at u = 1 are those at u = 0 once more.
     iris = _revolved(r, depth + slope * r, np.full_like(r, slope), -np.ones_like(r), around, True)
-    if eye.pupil_centre is not None:
+    if eye.pupil_centre is not None or eye.pupil_harmonics is not None:
         iris = _moved(eye, iris, (root - r) / (root - pupil))
     u, v = np.meshgrid(np.arange(around + 1) / around, (r - pupil) / (root - pupil))
     meshes["iris"] = _mesh(*iris, np.stack([u.ravel(), v.ravel()], -1))
@@ -303,10 +303,14 @@ def _cap(surface: Conicoid, edge: float, spacing: float, around: int) -> "Trimes
 def _moved(
     eye: Eye, iris: tuple[np.ndarray, np.ndarray, np.ndarray], shares: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, normals and triangles of an iris, each ring moved by its share of the pupil's way."""
+    """Points, normals and triangles of an iris, each ring moved by its share of the pupil's way and
+    of its irregularity.
+    """
     points, _, faces = iris
-    away = np.repeat(shares, len(points) // len(shares))[:, None] * np.asarray(eye.pupil_centre)
-    across = points[:, :2] + away
+    share, across = np.repeat(shares, len(points) // len(shares))[:, None], points[:, :2]
+    centre = np.zeros(2) if eye.pupil_centre is None else np.asarray(eye.pupil_centre)
+    out = np.asarray(eye.pupil_edge(*(across + centre).T)) - float(eye.pupil_radius)
+    across = across * (1 + share.T * out / np.hypot(*across.T)).T + share * centre
     slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
     deep = float(eye.iris_depth) + slope * np.hypot(*across.T)
     points = np.column_stack([across, deep])

@@ -16,6 +16,7 @@ from irisjax.anatomy.lids import LID_LIMITS
 from irisjax.grow.lids import lids
 from irisjax.grow.presets import PRESETS, preset
 from irisjax.grow.procedural import procedural
+from irisjax.grow.pupil import IRREGULARITY, irregular_pupil
 from irisjax.grow.vessels import VEINS, veins
 from irisjax.io.images import read_environment
 from irisjax.io.maps import read_maps
@@ -130,6 +131,10 @@ class SceneFile:
         density = VEINS.get(density, density)
         whiteness = {k: given.pop(k) for k in ("yellowing",) if k in given}
         ring = {name: given.pop(key) for key, name in LIMBAL_RING.items() if key in given}
+        if off := given.pop("pupil_irregularity", 0.0):
+            if "pupil_harmonics" in given:
+                raise ValueError("give pupil_irregularity or pupil_harmonics, not both")
+            given["pupil_harmonics"] = irregular_pupil(off, key=self._key("pupil"))
         if "file" not in self._of("maps"):
             given.setdefault("limbus_width", LIMBUS_WIDTH)
         elif "darkening" not in ring:  # as photographed: the maps hold it
@@ -191,9 +196,9 @@ class SceneFile:
 
 
 def stream(seed: int, name: str) -> PRNGKey:
-    """The random key of a scene's `"maps"`, `"veins"` or `"lids"`."""
+    """The random key of a scene's `"maps"`, `"veins"`, `"lids"` or `"pupil"`."""
     key = jax.random.key(seed, impl="threefry2x32")
-    return jax.random.fold_in(key, {"maps": 0, "veins": 1, "lids": 2}[name])
+    return jax.random.fold_in(key, {"maps": 0, "veins": 1, "lids": 2, "pupil": 3}[name])
 
 
 def read_scene(path: str | Path) -> SceneFile:
@@ -236,7 +241,7 @@ def scene_text(
             "sclera": eye.sclera is not None,
             "veins": 0.0 if eye.sclera is None or scene.veins is None else eye.sclera.veins,
             "yellowing": getattr(eye.sclera, "yellowing", None),
-            **{name: getattr(eye, name) for name in (*_EYE, "pupil_centre")},
+            **{name: getattr(eye, name) for name in (*_EYE, "pupil_centre", "pupil_harmonics")},
             **{k: getattr(ring, n) if ring else None for k, n in LIMBAL_RING.items()},
             **({} if ring else {"limbal_ring": 0.0}),
         },
@@ -291,6 +296,11 @@ def _density(value: Any) -> Any:
     return checked(value, tuple(VEINS) if isinstance(value, str) else EYE_LIMITS["veins"])
 
 
+def _harmonics(value: Any) -> Any:
+    pair = listed("pairs [cosine, sine]", EYE_LIMITS["pupil_harmonics"])
+    return jnp.asarray([pair(entry) for entry in checked(value, list)])
+
+
 def _illuminant(value: Any) -> str:
     illuminant_power(checked(value, str), [560.0])
     return value
@@ -340,6 +350,8 @@ SECTIONS: dict[str, dict[str, EntryCheck]] = {
         "veins": _density,
         "yellowing": EYE_LIMITS["yellowing"],
         "pupil_centre": listed("[x, y] in mm", EYE_LIMITS["pupil_centre"]),
+        "pupil_irregularity": IRREGULARITY,
+        "pupil_harmonics": _harmonics,
     },
     "lids": {**LID_LIMITS, "nose": tuple(SIDES)},
     "camera": {

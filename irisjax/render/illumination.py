@@ -120,6 +120,7 @@ def deciding(eye: Eye) -> Eye:
         "pupil_radius": 1.0,
         "pupil_margin": 0.12,
         "pupil_centre": None,
+        "pupil_harmonics": None,
         "limbus_width": 1.0,
         "limbal_ring": None,
         "lids": None,

@@ -245,11 +245,11 @@ def tilted(pixels: IrisPixels, eye: Eye, relief: Float[Array, "3 angles radii"])
 
 def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
     """Of the iris's radiance that reaches the camera; fades into the pupil, 0 for padding."""
-    away = pixels.point
+    away, edge = pixels.point, eye.pupil_edge(*pixels.point[:2])
     if eye.pupil_centre is not None:
         (x, y, z), (cx, cy) = away, eye.pupil_centre
         away = x - cx, y - cy, z
-    seen = smoothstep((from_axis(joined(away)) - eye.pupil_radius) / eye.pupil_margin)
+    seen = smoothstep((from_axis(joined(away)) - edge) / eye.pupil_margin)
     share = pixels.share * seen
     return share if pixels.index is None else jnp.where(pixels.index < 0, 0.0, share)
 
@@ -304,7 +304,8 @@ def slopes_of(relief: Float[Array, "angles radii"], eye: Eye) -> Float[Array, "2
 
     Differences over two texels, blended between their centres, are flatter than any surface through
     these heights: by a third for the finest fibres, four texels wide, and irides were 10 % too
-    bright round the pupil.
+    bright round the pupil. Approximation: what an irregular pupil (`Eye.pupil_harmonics`) adds to
+    the slopes, a few hundredths of them, is left out.
     """
     rows, columns = relief.shape
     span = eye.iris_radius - eye.pupil_radius

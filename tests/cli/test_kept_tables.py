@@ -78,6 +78,7 @@ def test_tables_are_made_of_what_the_key_sees():
     """Two eyes of one key have the same tables: build looks at nothing else."""
     parts = {"sclera": Sclera(radius=13.0), "cornea": Cornea(scatter=85e8)}
     pupil = {"pupil_radius": 3.0, "pupil_margin": 0.02, "pupil_centre": [0.2, 0.1]}
+    pupil |= {"pupil_harmonics": [[0.01, 0.0]]}
     a = EYE.replace(limbus_width=0.3, limbal_ring=LimbalRing(), **pupil, **parts)
     b = EYE.replace(sclera=None)
     assert key(a, False) == key(b, False) == key(EYE, False)
@@ -107,7 +108,7 @@ def test_what_matters_makes_another_key(name):
 
 
 def test_every_field_of_the_eye_is_in_the_key_or_said_not_to_matter():
-    pupil = {"pupil_radius", "pupil_margin", "pupil_centre"}
+    pupil = {"pupil_radius", "pupil_margin", "pupil_centre", "pupil_harmonics"}
     said = {*pupil, "sclera", "limbus_width", "limbal_ring", "lids", "cornea", "cornea.scatter"}
     fields = {f.name for f in dataclasses.fields(Eye)}
     fields |= {f"cornea.{f.name}" for f in dataclasses.fields(Cornea)}
