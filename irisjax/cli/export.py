@@ -6,7 +6,7 @@ import numpy as np
 import typer
 
 from irisjax.cli import options as opt
-from irisjax.cli.scenes import EyeWithPupil, changed
+from irisjax.cli.scenes import EyeWithPupil
 from irisjax.export.handover import FORMS, check_new_folder, export_scene
 from irisjax.numerics.checks import Range
 from irisjax.render.albedo import CONE
@@ -32,8 +32,7 @@ def export_command(subject: EyeWithPupil, handover: Handover) -> None:
     """
     output = handover.output
     check_new_folder(output)
-    scene = subject.read().scene(handover.integrator)
-    scene = changed(scene, pupil_radius=subject.pupil_radius)
+    scene = subject.scene_of(subject.read(), handover.integrator)
     made = export_scene(output, scene, spacing=handover.spacing, form=handover.format)
     off = ", ".join(f"{100 * v:.2g} %" for v in np.asarray(made.error.rms))
     typer.echo(

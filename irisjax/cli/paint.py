@@ -138,7 +138,7 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
     with subject.in_file():
         painting = painted(recipe.coats, recipe.mixer(), eye, size=picture.texels, scans=scans)
     scene = studio(painting, eye)
-    scene = changed(scene, picture.light, None, picture.size, picture.camera)
+    scene = changed(scene, picture.light, picture.size, picture.camera)
     if picture.environment is not None:
         around = environment_of(picture.environment)
         scene = scene.replace(environment=around, lights=scene.lights if picture.light else None)

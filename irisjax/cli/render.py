@@ -132,8 +132,8 @@ def render_command(view: ViewOptions, picture: PictureOptions, files: PictureFil
         raise ValueError(
             "--spectral needs lamps: an environment has colours, not spectra; give --light"
         )
-    scene = file.scene(picture.integrator)
-    scene = changed(scene, view.light, view.pupil_radius, picture.size, view.camera)
+    scene = view.scene_of(file, picture.integrator)
+    scene = changed(scene, view.light, picture.size, view.camera)
     tinted = scene.lights is not None and scene.lights.tint is not None
     if picture.spectral is not None and tinted:
         raise ValueError(
@@ -143,7 +143,7 @@ def render_command(view: ViewOptions, picture: PictureOptions, files: PictureFil
     if isinstance(exposure, str):
         exposure = exposure_of_white(scene)
     if picture.animate is not None:
-        _animated(scene, picture, exposure, output)
+        _animated(scene, file, picture, exposure, output)
     else:
         _still(scene, picture, exposure, output)
 
@@ -187,10 +187,12 @@ def _still(scene: Scene, picture: PictureOptions, exposure: float, output: Path)
             _tell_clipped(output, clipped, math.prod(scene.camera.size))
 
 
-def _animated(scene: Scene, options: PictureOptions, exposure: float, output: Path) -> None:
+def _animated(
+    scene: Scene, file: io.SceneFile, options: PictureOptions, exposure: float, output: Path
+) -> None:
     change, count = options.animate or "", options.frames or 24
     remark = f"simulated by irisjax; {change}, {count} frames"
-    pictures = frames(scene, change, count, kept_tables)
+    pictures = frames(scene, change, count, kept_tables, file.with_pupil)
     shown = tqdm(pictures, total=count, unit="frame", disable=None)
     encoded = map(_ENCODED[options.tone], _exposed(shown, exposure, output))
     if _is_sheet(output):
@@ -205,6 +207,7 @@ def frames(
     change: str,
     count: int,
     tables_of: Callable[[Scene], Illumination | None] = Scene.tables,
+    with_pupil: Callable[[Scene, float], Scene] = Scene.with_pupil,
 ) -> Iterator[np.ndarray]:
     """Linear sRGB pictures of one round: there and back again, the last leads to the first."""
 
@@ -239,8 +242,8 @@ def frames(
             light = illuminate(view, texels, scene, tables)
         else:
             radius = (_NARROW + _WIDE) / 2 - (_WIDE - _NARROW) / 2 * s
-            wider = scene.replace(eye=dataclasses.replace(scene.eye, pupil_radius=radius))
-            texels = texture(view, wider)
+            wider = prepared_scene(with_pupil(scene, radius))
+            texels, response = texture(view, wider), respond(wider)
             light = illuminate(view, texels, wider, tables)
         yield np.asarray(shade(view, texels, light, response))
 

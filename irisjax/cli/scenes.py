@@ -63,19 +63,21 @@ class Subject(opt.Group, panel="What"):
 class EyeWithPupil(Subject):
     pupil_radius: float | None = opt.number("{}", eye.EYE_LIMITS["pupil_radius"])
 
+    def scene_of(self, file: SceneFile, integrator: str | None = None) -> staging.Scene:
+        """The scene of a file, with the pupil of the option."""
+        scene = file.scene(integrator)
+        return scene if self.pupil_radius is None else file.with_pupil(scene, self.pupil_radius)
+
 
 def changed(
     scene: staging.Scene,
     light: list[str] | None = None,
-    pupil_radius: float | None = None,
     size: str | None = None,
     camera: str | None = None,
 ) -> staging.Scene:
-    """A scene with lamps, pupil (mm), picture size or camera as the options write them."""
+    """A scene with lamps, picture size or camera as the options write them."""
     if light:
         scene = scene.replace(lights=lamps(light, scene.illuminant), environment=None)
-    if pupil_radius is not None:
-        scene = scene.replace(eye=scene.eye.replace(pupil_radius=pupil_radius))
     changes: dict[str, Any] = {} if size is None else {"size": _size(size)}
     if camera is not None:
         angles = _angles("--camera", camera, "WIDTH", float(scene.camera.width))

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax.random import bits, fold_in
 
-from irisjax._types import PRNGKey
+from irisjax._types import PRNGKey, Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.noise import NoiseField, Seed, Whole, drawn, noise, noises, split_seed
 from irisjax.numerics.checks import Range, check_range
@@ -27,6 +27,8 @@ COLLARETTE = 0.30  # mean place of the collarette between the pupil's edge (0) a
 STROMA, ABL, MELANIN = (0.15, 2.5), (0.5, 1.6), (0.4, 2.5)
 """Least and most of a map relative to its mean: wider ones cost the renderer's tables accuracy."""
 FOLD = 0.025  # height of a contraction furrow's crest, mm
+REST = 1.9
+"""Radius of the pupil, mm, at which an iris has its mean thicknesses."""
 FINEST = 0.045  # mm between neighbouring fibres, below which they are not drawn
 
 
@@ -52,8 +54,12 @@ def procedural(
     """Grow the maps of an invented iris; a map that no feature needs is absent.
 
     Args:
-        iris: Gives mean thicknesses, kept as area means over the ring from pupil to root.
-        eye: Gives that ring (default: `Eye()`).
+        iris: Gives mean thicknesses: area means over the ring from pupil to root at a pupil of
+            `REST`.
+        eye: Gives that ring (default: `Eye()`). Equal keys give the same tissue at any pupil: a
+            wider one presses it together along the radius, so that every ring keeps its volume and
+            thickens; furrows deepen, crypts close, cords bend, and the seam at the pupil keeps its
+            width.
         shape: Numbers of angles and radii; fewer than 768 angles coarsen the finest fibres.
         profile: Whether the stroma thins towards the root as in ultrasound.
         fibres: Contrast of the radial fibres, 1 as in a light iris.
@@ -117,7 +123,11 @@ def _grow(
     # One program for all slow fields: a bend of the cords, and clouds of pigment and of tissue.
     kinds = [(9, 2, 3), (3, 1, 2), (7, 3, 4), (22, 9, 4), (90, 4, 2), (36, 13, 2), (48, 24, 3)]
     bend, wide, cloud, mist, streak, arc, wool = noises(slow, turns, radius, kinds)
-    slack = 3.6 / (eye.iris_radius - eye.pupil_radius)  # of cords and folds in a wide pupil
+    slack = (eye.iris_radius - REST) / (eye.iris_radius - eye.pupil_radius)  # of cords and folds
+    # Tissue over the area that is left to it, relative to that at rest; by rings and in the mean.
+    rest = eye.replace(pupil_radius=jnp.asarray(REST, place.dtype))
+    pressed = rest.ring_area(radius) / eye.ring_area(radius)
+    total = (eye.iris_radius**2 - REST**2) / (eye.iris_radius**2 - eye.pupil_radius**2)
     bent = turns + 0.006 * slack * bend
     ring = COLLARETTE + _wander(wreath, turns)
     outside = smoothstep((radius - ring) / 0.05 + 0.5)
@@ -128,7 +138,7 @@ def _grow(
     cords, gap = 0.45, 1.0
     if fibrous:
         pitch = 2 * jnp.pi * place / FINEST  # fibres that find room round this ring
-        mesh, cords, spokes = _fibres(fibres, bent, radius, ring, pitch, shape[0])
+        mesh, cords, spokes = _fibres(fibres, bent, radius, slack, pitch, shape[0])
         gap = smoothstep((0.95 - cords) / 0.5)  # cords bridge an opening
         # Near the root the cords bend into arcs.
         root = jnp.exp(-((3 * arc) ** 2)) * smoothstep((radius - 0.6) / 0.3)
@@ -138,15 +148,15 @@ def _grow(
     surface += much["collarette"] * _wreath(wreath, turns, radius, ring)
     hole = region * gap * jnp.minimum(1.0, 1.3 / slack)  # a wide pupil closes them
     surface -= 2.2 * hole
-    rim = jnp.where(much["ruff"] > 0, _ruff(wreath, turns, radius), 0.0)
+    rim = jnp.where(much["ruff"] > 0, _ruff(wreath, turns, radius / slack), 0.0)
     within -= 2.5 * much["ruff"] * rim
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
-    stroma *= jnp.exp(surface + within)
+    stroma *= pressed * jnp.exp(surface + within)
     mottled = 0.35 * streak + 0.3 * cloud + 0.3 * crest - 0.6 * hole + 0.5 * (cords - 0.45)
-    thickness = _bounded(
-        jnp.maximum(1 + much["abl"] * mottled, 0.0), place, iris.abl_thickness, ABL
-    )
-    uneven = iris.stroma_thickness * _softened(jnp.tanh(surface)) + thickness - iris.abl_thickness
+    thickness = pressed * jnp.maximum(1 + much["abl"] * mottled, 0.0)
+    thickness = _bounded(thickness, place, total * iris.abl_thickness, ABL)
+    uneven = total * iris.stroma_thickness * _softened(jnp.tanh(surface))
+    uneven += jnp.where(much["abl"] > 0, thickness - total * iris.abl_thickness, 0.0)
     reach = ring + 0.14 + 0.15 * cloud + 0.25 * streak
     inner = smoothstep((reach - radius) / 0.25 + 0.5)
     brown = 1 + much["heterochromia"] * inner * (1 + 0.7 * mist)
@@ -157,11 +167,12 @@ def _grow(
     reach = ring + 0.3 + 0.2 * wide - 0.2 * cloud + 0.2 * streak
     inner = smoothstep((reach - radius) / 0.5 + 0.5)
     yellow = 1 + much["amber"] * inner * (1 + 0.5 * mist)
+    spots = freckles, turns, rest.from_axis(radius), rest, mist + wool
     return {
-        "stroma_depth": _bounded(stroma, place, iris.stroma_thickness, STROMA),
+        "stroma_depth": _bounded(stroma, place, total * iris.stroma_thickness, STROMA),
         "abl_depth": thickness,
         "relief": much["relief"] * uneven + FOLD * jnp.minimum(slack, 2.0) * crest,
-        "freckles": _freckles(freckles, turns, place, eye, mist + wool, much["freckles"]),
+        "freckles": _freckles(*spots, much["freckles"]),
         "eumelanin": _bounded(brown, place, 1.0, MELANIN),
         "pheomelanin": _bounded(yellow, place, 1.0, MELANIN),
     }
@@ -197,7 +208,7 @@ def _bounded(thickness, place, mean, within: tuple[float, float]) -> NoiseField:
     return _scaled(jnp.clip(_scaled(thickness, place, mean), low * mean, high * mean), place, mean)
 
 
-def _strands(seed: Seed, turns, radius, count: int, width: float, sway: float) -> NoiseField:
+def _strands(seed: Seed, turns, radius, count: int, width: float, sway: Scalar) -> NoiseField:
     """Height, 0 to 1, of `count` wavy strands that join and branch: the higher one lies on top."""
     where, wave, high = split_seed(seed, 3)
     x = turns * count
@@ -214,7 +225,7 @@ def _strands(seed: Seed, turns, radius, count: int, width: float, sway: float) -
     return jax.lax.scan(over, jnp.zeros_like(x), jnp.arange(-2, 3).astype(x.dtype))[0]
 
 
-def _fibres(seed: Seed, turns, radius, ring, room, angles: int) -> tuple[NoiseField, ...]:
+def _fibres(seed: Seed, turns, radius, slack, room, angles: int) -> tuple[NoiseField, ...]:
     """Fine fibres everywhere, about 0; cords of the upper leaf and pupillary spokes, 0 to 1."""
     fine, coarse, middle, inner = split_seed(seed, 4)
     # Ridges at the zeros of noise: they join in long loops, which is a meshwork.
@@ -225,10 +236,10 @@ def _fibres(seed: Seed, turns, radius, ring, room, angles: int) -> tuple[NoiseFi
         ridge = jnp.exp(-((min(5.0, angles / (2.4 * n)) * field) ** 2))
         mesh += smoothstep(room / n - 0.5) * (ridge - ridge.mean())
     few, many = (min(n, angles // 5) for n in (59, 149))
-    thick = _strands(coarse, turns, radius, few, 0.3, 0.55)
-    thin = _strands(middle, turns, radius, many, 0.3, 0.9)
+    thick = _strands(coarse, turns, radius, few, 0.3, 0.55 * slack)
+    thin = _strands(middle, turns, radius, many, 0.3, 0.9 * slack)
     cords = jnp.maximum(thick, 0.85 * thin)
-    spokes = _strands(inner, turns, radius, min(110, angles // 4), 0.42, 0.5)
+    spokes = _strands(inner, turns, radius, min(110, angles // 4), 0.42, 0.5 * slack)
     spokes = 0.5 + smoothstep(room / 110 - 0.3) * (spokes - 0.5)
     return mesh, cords, spokes
 

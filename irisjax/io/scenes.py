@@ -88,6 +88,15 @@ class SceneFile:
                 drawn["maps"] = drawn["maps"].replace(residual=None)
         return Scene(**parts | drawn)
 
+    def with_pupil(self, scene: Scene, radius: float) -> Scene:
+        """Return a scene of this file with a pupil of another radius, mm: `Scene.with_pupil`, with
+        maps grown anew where they are grown, so that furrows deepen, crypts close and cords bend.
+        """
+        moved, process = scene.with_pupil(radius), scene.integrator.process
+        if process is None or moved.maps is None or "file" in self._of("maps"):
+            return moved
+        return moved.replace(maps=self._iris(moved.eye, process)["maps"])
+
     def with_entries(self, section: str, **entries: Any) -> "SceneFile":
         """Return the same scene with other entries of a section, which is added if it is absent."""
         changed = self._of(section) | entries

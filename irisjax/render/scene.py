@@ -115,6 +115,14 @@ class Scene(eqx.Module):
         """A copy with some parts changed."""
         return dataclasses.replace(self, **parts)
 
+    def with_pupil(self, radius: float) -> "Scene":
+        """Return the scene with a pupil of another radius, mm, whose tissue has moved
+        (`IrisMaps.moved`).
+        """
+        eye = self.eye.replace(pupil_radius=radius)
+        maps = None if self.maps is None else self.maps.moved(self.eye, eye)
+        return self.replace(eye=eye, maps=maps)
+
     def tables(self, caustics: bool | None = None) -> Illumination | None:
         """Compute illumination tables of this eye; `None` without a cornea.
 

@@ -1,7 +1,8 @@
 """`IrisMaps`: maps of an iris for the renderers, from photographs, painters or procedures.
 
 Polar textures of shape (angles, radii): rows go around the eye from +x towards +y, columns from the
-pupil's edge to the root, with values at cell centres. Another pupil radius stretches the maps.
+pupil's edge to the root, with values at cell centres. Another pupil radius stretches the maps;
+`IrisMaps.moved` also thickens the layers as their area shrinks.
 """
 
 import dataclasses
@@ -15,6 +16,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar, optional_field
+from irisjax.anatomy.eye import Eye
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.pigments import Extinction
@@ -87,6 +89,15 @@ class IrisMaps(eqx.Module):
     def replace(self, **fields: object) -> "IrisMaps":
         """Return a copy with some maps changed."""
         return dataclasses.replace(self, **fields)
+
+    def moved(self, before: Eye, after: Eye) -> "IrisMaps":
+        """Return the maps after the pupil of one eye has become that of another: tissue moves along
+        the radius in proportion, and the layers of every ring keep their volume.
+        """
+        _, radius = cell_centres(self.shape)
+        pressed = before.ring_area(radius) / after.ring_area(radius)
+        layers = {name: m for name, m in self.present().items() if name.endswith("_depth")}
+        return self.replace(**{name: m * pressed for name, m in layers.items()})
 
     def abl_scale(self, iris: Iris) -> Texture | None:
         """Melanin of the ABL relative to that of a uniform iris; `None` if it is one everywhere."""

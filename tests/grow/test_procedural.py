@@ -50,6 +50,37 @@ def test_area_means_are_those_of_the_iris(everything, name):
     np.testing.assert_allclose(mean, expected, rtol=1e-12)
 
 
+def test_a_wider_pupil_presses_the_same_tissue_together(everything):
+    """Volumes by circles' areas; the rest against what stretched maps would show."""
+    narrow, wide = (
+        procedural(ij.Iris(), ij.Eye(pupil_radius=r), shape=SHAPE, **EXTRA, key=KEY)
+        for r in (1.0, 3.4)
+    )
+    eyes = {1.0: narrow, 1.9: everything, 3.4: wide}
+    moved = everything.moved(ij.Eye(), ij.Eye(pupil_radius=3.4))
+
+    def volumes(maps, name, pupil):
+        rings = np.pi * np.diff(np.linspace(pupil, 5.5, SHAPE[1] + 1) ** 2)
+        return np.asarray(getattr(maps, name)).mean(0) * rings
+
+    for name in ("stroma_depth", "abl_depth"):
+        found = [volumes(maps, name, r).sum() for r, maps in eyes.items()]
+        np.testing.assert_allclose(found, found[0], rtol=1e-12)
+        np.testing.assert_allclose(volumes(moved, name, 3.4), volumes(everything, name, 1.9))
+    np.testing.assert_array_equal(moved.eumelanin, everything.eumelanin)
+
+    def seam(maps, pupil):  # mm over which the stroma rises to half at the pupil
+        mean = np.asarray(maps.stroma_depth).mean(0)
+        place = np.linspace(0, 5.5 - pupil, 2 * SHAPE[1] + 1)[1::2]
+        return np.interp(mean[8:16].mean() / 2, mean[:8], place[:8])
+
+    widths = [seam(maps, r) for r, maps in eyes.items()]
+    assert max(widths) < (4.5 / 2.1) ** 0.5 * min(widths)  # stretched by 4.5 over 2.1 mm
+    steps = [np.diff(maps.relief, axis=1)[:, 20:].std() for maps in (narrow, everything, wide)]
+    thicker = (5.5**2 - 1.0**2) / (5.5**2 - 3.4**2)
+    assert steps[0] < steps[1] and thicker * steps[0] < steps[2]  # folds deepen by more
+
+
 def test_equal_keys_give_equal_maps_and_others_do_not(everything):
     again, other = (
         procedural(ij.Iris(), shape=SHAPE, **EXTRA, key=jax.random.key(k)) for k in (7, 8)
