@@ -34,6 +34,7 @@ SLOW = {
     "eye_colours",
     "f09_findings",
     "groups",
+    "iris_over_white",
     "mitsuba_truth",
     "painted_irides",
     "polarisation",
