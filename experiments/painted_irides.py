@@ -3,15 +3,22 @@ number of coats.
 """
 
 import io
+import subprocess
+import sys
+import tempfile
 import time
+import tomllib
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import skimage
 from PIL import Image
 
 from experiments.common import RESULTS, start, write
-from irisjax.io import write_atomically
+from experiments.mitsuba_photographs import FOLDER
+from irisjax.io import read_image, write_atomically
 from irisjax.measure.colour import srgb_encode
 from irisjax.ocularist.coats import Coat, Painting, prosthesis
 from irisjax.ocularist.components import COMPONENTS, component
@@ -74,6 +81,7 @@ def main(key, quick=False, out=RESULTS):
     save("painted_fig10", [picture(brown), picture(blue), picture(blue, np.radians(40.0))])
     _mixtures(out)
     if not quick:
+        save("painted_fig8", _copied(FOLDER / "green.jpg", side))
         _environments(blue, eye, out)
         _times(blue, eye, tables, out)
 
@@ -95,6 +103,33 @@ def _mixtures(out) -> None:
                 rows.append((way, first, second, *map(float, mixer.mix(first, second, 0.5))))
     columns = ("mixing", "first", "second", "r_linear", "g_linear", "b_linear")
     write(out / "painted_mixtures.csv", (ABOUT, "equal parts, linear sRGB"), columns, rows)
+
+
+def _copied(photograph: Path, side: int) -> list[np.ndarray]:
+    """A photographed eye, its clone, and paint matched to the clone's texture, linear."""
+
+    def run(*command) -> None:
+        done = subprocess.run([sys.executable, "-m", "irisjax", *map(str, command)], check=False)
+        if done.returncode not in (0, 3):  # 3: with doubts, which the command prints
+            raise RuntimeError(f"irisjax {command[0]} failed with status {done.returncode}")
+
+    with tempfile.TemporaryDirectory() as made:
+        clone, paint, size = Path(made) / "clone", Path(made) / "paint", f"{side}x{side}"
+        run("clone", photograph, "-o", clone)
+        scene = tomllib.loads((clone / "scene.toml").read_text(encoding="utf-8"))
+        run("render", clone / "scene.toml", "--size", size, "-o", clone / "eye.png")
+        lamps = [
+            f"{lamp['polar_deg']},{lamp['azimuth_deg']},"
+            f"{lamp['irradiance'] * scene['picture']['exposure']}"
+            for lamp in scene["light"]
+        ]
+        seen = [option for lamp in lamps for option in ("--light", lamp)]
+        seen += ["--size", size, "--camera", f"0,0,{scene['camera']['width']}"]
+        run("paint", "--match", clone, *seen, "-o", paint)
+        files = clone / "photograph.png", clone / "eye.png", paint / "eye.png"
+        panels = [read_image(file, decode=True).pixels[..., :3] for file in files]
+    panels[0] = skimage.transform.resize(panels[0], (side, side), anti_aliasing=True)
+    return panels
 
 
 def _environments(blue: Painting, eye, out) -> None:

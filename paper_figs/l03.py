@@ -1,9 +1,11 @@
-"""Painted irides after L03 Figs. 3, 4, 5, 8, 9 and 10, with what each panel shows."""
+"""Painted irides after L03 Figs. 3 to 10, with what each panel shows."""
 
 import matplotlib.image
 import numpy as np
 
 from irisjax.measure.colour import srgb_encode
+from irisjax.ocularist.coats import profile_of, prosthesis
+from irisjax.ocularist.cones import shell
 from paper_figs.common import RESULTS, plt, read, save, save_picture
 
 
@@ -51,6 +53,55 @@ def mixtures():
     save(figure, "l03_fig4")
 
 
+def geometry():
+    """Cross-section of the eye, and its outside as a few truncated cones."""
+    eye = prosthesis()
+    figure, (whole, coarse) = plt.subplots(1, 2, figsize=(9.0, 4.6), sharey=True)
+    bodies = shell(eye)
+    iris = {"iris": profile_of(eye)}
+    for axis, parts in ((whole, bodies | iris), (coarse, shell(eye, 5) | iris)):
+        for (name, cones), colour in zip(parts.items(), ("C0", "0.4", "C1"), strict=True):
+            z, radius = np.asarray(cones.z), np.asarray(cones.radius)
+            for side in (1, -1):
+                label = name if side == 1 else None
+                axis.plot(z, side * radius, color=colour, label=label)
+            if axis is coarse:
+                axis.vlines(z, -radius, radius, color=colour, lw=0.6)
+        axis.axhline(0, color="0.7", lw=0.6, ls="-.")
+        axis.set_aspect("equal")
+        axis.set_xlabel("z (mm)")
+        axis.grid(False)
+    cornea, white, rim = eye.cornea.anterior.radius, eye.sclera.radius, eye.limbus_radius
+    front, edge = float(cornea), float(bodies["cornea"].z[-1])
+    back = edge + float(np.sqrt(white**2 - rim**2))
+    for place, radius, angle, shift, name in (
+        (front, cornea, 152, 0.7, f"$r_2$ = {cornea:.1f} mm"),
+        (back, white, 58, -1.2, f"$r_1$ = {white:.1f} mm"),
+    ):
+        way = float(radius) * np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
+        whole.plot(place, 0, "k.")
+        arrow = {"arrowstyle": "->", "lw": 0.8}
+        whole.annotate("", (place + way[0], way[1]), (place, 0), arrowprops=arrow)
+        whole.text(place + 0.55 * way[0] + 0.3, 0.55 * way[1] + shift, name, fontsize=8)
+    whole.annotate("", (back, -1), (front, -1), arrowprops={"arrowstyle": "<->", "lw": 0.8})
+    whole.text(front - 0.6, -2.4, f"$d$ = {back - front:.1f} mm", fontsize=8)
+    whole.text(edge + 2.4, float(rim) + 0.4, f"limbus, {rim:.2f} mm\nfrom the axis", fontsize=8)
+    whole.set_ylabel("distance from the axis (mm)")
+    whole.set_title("the eye's outside from two spheres (Fig. 6)", fontsize=9)
+    whole.legend(loc="lower right", fontsize=7)
+    ends = shell(eye, 5)["white"]
+    for i, (z, radius) in enumerate(zip(np.asarray(ends.z), np.asarray(ends.radius), strict=True)):
+        if i < 4:
+            side = ("right", "right", "center", "left")[i]
+            coarse.text(z, radius + 0.3, f" $q_{i + 1}$, $d_{i + 1}$ ", fontsize=8, ha=side)
+    coarse.set_title(
+        "as cones between circles at $q_i$ of radii $d_i$, here few (Fig. 7)", fontsize=9
+    )
+    figure.tight_layout()
+    save(figure, "l03_fig6")
+
+
+geometry()
 strip(
     "painted_fig3",
     [
@@ -70,9 +121,16 @@ strip(
     5,
 )
 strip(
+    "painted_fig8",
+    ["photograph", "clone", "paint matched to it"],
+    "In place of L03 Fig. 8: a simulated photograph, its clone, and a painted copy",
+    "l03_fig8",
+    3,
+)
+strip(
     "painted_fig9",
     [f"{n} coats" if n > 1 else "base" for n in (1, 4, 7, 11, 14, 17, 20, 24, 27, 30)],
-    "After L03 Figs. 8 and 9: a green eye of 30 coats as it is painted (simulated)",
+    "After L03 Fig. 9: a green eye of 30 coats as it is painted (simulated)",
     "l03_fig9",
     5,
 )
