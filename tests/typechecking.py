@@ -9,8 +9,8 @@ from typing import Any
 
 from beartype import BeartypeConf, beartype
 
-# PEP 484: an int is welcome where a float is asked for, as pyright has it.
 _CALLS = 100  # of a function, after which it is believed: some are called ten thousand times
+# PEP 484: an int is welcome where a float is asked for, as pyright has it.
 _beartype = beartype(conf=BeartypeConf(is_pep484_tower=True))
 
 

@@ -146,6 +146,7 @@ def srgb_encode(linear: Numbers) -> Array:
     return jnp.where(foot, 12.92 * linear, 1.055 * power - 0.055)
 
 
+@eqx.filter_jit
 def srgb_decode(encoded: Numbers) -> Array:
     """Linear values of sRGB-encoded ones; the inverse of `srgb_encode`."""
     foot = encoded <= 12.92 * 0.0031308
@@ -181,6 +182,7 @@ def agx_encode(linear: Float[Array | np.ndarray, "*s 3"]) -> Float[Array, "*s 3"
     return jnp.clip(shown @ jnp.linalg.inv(mixing).T, 0, 1)
 
 
+@eqx.filter_jit
 def lab_of(ratio: Numbers) -> Array:
     """CIE 1976 L*a*b* of XYZ relative to white [CIE 15:2018, Eq. 8.3 ff.]."""
     delta = 6 / 29

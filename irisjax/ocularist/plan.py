@@ -38,6 +38,7 @@ class Difference(NamedTuple):
     q95: float
 
 
+@eqx.filter_jit
 def plan_view(
     opacity: Float[Array, "coats *texels"], colour: Float[Array, "coats 3"]
 ) -> Float[Array, "*texels 3"]:
@@ -98,6 +99,7 @@ def rolled(
     return row, column, (place >= 0) & (place <= 1)
 
 
+@eqx.filter_jit
 def lab(linear: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
     """CIE L*a*b* under D65 of linear sRGB."""
     matrix = np.linalg.inv(XYZ_TO_SRGB)

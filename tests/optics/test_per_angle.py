@@ -16,8 +16,12 @@ from irisjax.optics.per_angle import averaged_kernel, scattering_operator
 STEP = 8  # the great circles take long: every eighth row of the operator
 
 
+_rule = jax.jit(cosine_rule, static_argnums=(1, 2))
+_kernel = jax.jit(averaged_kernel)
+
+
 def rule_for(*breaks, n=16):
-    return cosine_rule(jnp.asarray(breaks, float), (True,) * len(breaks), n)
+    return _rule(jnp.asarray(breaks, float), (True,) * len(breaks), n)
 
 
 @functools.cache
@@ -44,7 +48,7 @@ def test_kernel(mu, other, bits):
     pieces = itertools.pairwise(np.unique(ends))
     expected = 2 * sum(quad(integrand, *e, epsrel=1e-13, epsabs=0)[0] for e in pieces)
     arguments = (mu, other, 1 - mu**2, 1 - other**2, abs(mu - other) * (mu + other))
-    found = averaged_kernel(*(jnp.asarray([v], float) for v in arguments))
+    found = _kernel(*(jnp.asarray([v], float) for v in arguments))
     assert found.dtype == (np.float64 if bits == 64 else np.float32)
     # The mild part's few nodes are worst close to the diagonal, where little is integrated.
     assert found[0] == pytest.approx(expected / (3 * np.pi**2), rel=1e-9 if bits == 64 else 1e-5)

@@ -1,5 +1,6 @@
 """Errors of windows, integrated out: the same by scipy's densities and by drawing covariances."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from irisjax.photo.pigments import (
 )
 from irisjax.photo.windows import ANGLES, COUNT, RINGS
 
+likelihood, covariances_of, whitened = map(jax.jit, (log_likelihood, covariances, whitened_errors))
 _RANDOM = np.random.default_rng(3)
 RESPONSE = np.repeat(_RANDOM.uniform(0.1, 0.7, (RINGS, 1, 3)), ANGLES, 1).reshape(COUNT, 3)
 # A full ring, a part of one, one window, and none.
@@ -84,8 +86,8 @@ def test_the_likelihood_is_the_one_with_covariances_drawn():
     own, other = [], []
     for seed in range(3):
         off = _errors(seed)
-        found = log_likelihood(jnp.asarray(off), jnp.asarray(RESPONSE), jnp.asarray(PRESENT))
-        held = covariances(jnp.asarray(off), jnp.asarray(RESPONSE), jnp.asarray(PRESENT))
+        found = likelihood(jnp.asarray(off), jnp.asarray(RESPONSE), jnp.asarray(PRESENT))
+        held = covariances_of(jnp.asarray(off), jnp.asarray(RESPONSE), jnp.asarray(PRESENT))
         means = np.logaddexp.reduce(_means(off, np.asarray(held[0])))
         own.append(float(found))
         other.append(_drawn(off, inverse) + means)
@@ -95,7 +97,7 @@ def test_the_likelihood_is_the_one_with_covariances_drawn():
 
 def test_whitened_errors_have_the_density_of_their_covariances():
     off, response, present = (jnp.asarray(v) for v in (_errors(1), RESPONSE, PRESENT))
-    held = covariances(off, response, present)
+    held = covariances_of(off, response, present)
     direct = 0.0
     within = np.asarray(held[0])
     for k, ring in enumerate(_rings(np.asarray(off))):
@@ -107,7 +109,7 @@ def test_whitened_errors_have_the_density_of_their_covariances():
         np.exp(likely - np.logaddexp.reduce(likely)), SPREAD_FACTORS, strict=True
     ):
         direct += share * means @ np.linalg.solve(_between(np.asarray(off), within, wider), means)
-    assert float((whitened_errors(off, present, held) ** 2).sum()) == pytest.approx(direct)
+    assert float((whitened(off, present, held) ** 2).sum()) == pytest.approx(direct)
 
 
 def test_errors_alike_in_a_ring_are_forgiven_more_than_uneven_ones():
@@ -116,9 +118,9 @@ def test_errors_alike_in_a_ring_are_forgiven_more_than_uneven_ones():
     rings = np.repeat([0.1, -0.1, 0.1, -0.1], ANGLES)[:, None]
     scatter = np.repeat(_RANDOM.standard_normal((1, ANGLES, 3)), RINGS, 0).reshape(COUNT, 3)
     noise = 0.005 * (scatter - scatter.mean(0))
-    thicker = log_likelihood(jnp.asarray(rings * RESPONSE + noise), response, present)
+    thicker = likelihood(jnp.asarray(rings * RESPONSE + noise), response, present)
     other = np.array([0.5, -0.5, 0.5]) * rings * np.linalg.norm(RESPONSE, axis=1, keepdims=True)
-    coloured = log_likelihood(jnp.asarray(other + noise), response, present)
+    coloured = likelihood(jnp.asarray(other + noise), response, present)
     assert thicker > coloured + 5
 
 
@@ -129,7 +131,7 @@ def test_rings_far_off_one_another_are_paid_for_once():
     rings = np.repeat([-0.5, 0.5, -0.5, 0.5], ANGLES)[:, None]
 
     def found(factor):
-        return float(log_likelihood(jnp.asarray(factor * rings + scatter), response, present))
+        return float(likelihood(jnp.asarray(factor * rings + scatter), response, present))
 
     assert found(0.05) - found(0.5) < 20
     assert found(0.5) - found(1.0) < 20
