@@ -8,7 +8,9 @@ the fits. In the coordinates in which the fits' priors are standard normal, grou
 ordinary (means normal with sd 0.5, spreads half-normal with 0.3) or as far out as the priors of the
 comparison reach (1 and 1), where the likelihoods of many eyes are far from normal. For means,
 spreads and differences: how many of 100 intervals of 95 % contain the truth; the same of plain
-averages of the fits with their standard errors. Everything is simulated. Writes groups.csv.
+averages of the fits with their standard errors, and of the textbook's intervals (Student's t,
+chi-square, Welch's t) from the true values of the eyes, which hold 95 in the long run: their rows
+say how lucky this draw of studies was. Everything is simulated. Writes groups.csv.
 """
 
 from pathlib import Path
@@ -17,6 +19,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy import stats
 
 import irisjax as ij
 from experiments import common
@@ -108,6 +111,17 @@ def judged(key, kind: str, pair: int) -> list:
         judge("plain mean", mean[g], plain[g] - error[g], plain[g] + error[g])
     off, both = plain[1] - plain[0], np.hypot(*error)
     judge("plain difference", apart, off - both, off + both)
+    middle, between, degrees = eyes.mean(axis=1), eyes.std(axis=1, ddof=1), EYES - 1
+    variance = between**2 / EYES
+    wide = stats.t.ppf(0.975, degrees) * np.sqrt(variance)
+    low, high = (between * np.sqrt(degrees / stats.chi2.ppf(q, degrees)) for q in (0.975, 0.025))
+    for g in (0, 1):
+        judge("mean from true eyes", mean[g], middle[g] - wide[g], middle[g] + wide[g])
+        judge("spread from true eyes", spread[g], low[g], high[g])
+    both = variance.sum(axis=0)
+    wide = stats.t.ppf(0.975, degrees * both**2 / (variance**2).sum(axis=0)) * np.sqrt(both)
+    off = middle[1] - middle[0]
+    judge("difference from true eyes", apart, off - wide, off + wide)
     return made
 
 

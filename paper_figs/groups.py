@@ -1,5 +1,6 @@
 """How many of 100 intervals of means and differences of groups contain the truth, by the comparison
-(from draws of posteriors and from least-squares fits) and by plain averages of the fits.
+(from draws of likelihoods and from least-squares fits), by plain averages of the fits, and by the
+textbook's intervals from the true values of the eyes.
 """
 
 import matplotlib.pyplot as plt
@@ -14,6 +15,8 @@ LINES = {
     "difference by least squares": ("C2", "D", "difference, from fits"),
     "plain mean": ("C1", "o", "mean, plain average"),
     "plain difference": ("C1", "D", "difference, plain average"),
+    "mean from true eyes": ("0.6", "o", "mean, from true eyes"),
+    "difference from true eyes": ("0.6", "D", "difference, from true eyes"),
 }
 
 
@@ -26,7 +29,7 @@ def main():
         for i, (quantity, (colour, marker, label)) in enumerate(LINES.items()):
             mine = [r for r in rows if (r["groups"], r["quantity"]) == (kind, quantity)]
             held = [float(r["held_of_100"]) for r in mine]
-            x = np.arange(len(mine)) + 0.12 * (i - 2.5)
+            x = np.arange(len(mine)) + 0.1 * (i - 3.5)
             ax.plot(x, held, marker, color=colour, ms=4, ls="none", label=label)
         ax.axhline(95, color="0.4", lw=0.8)
         names = [r["parameter"].replace("_", "\n") for r in mine]
