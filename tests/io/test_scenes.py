@@ -51,6 +51,25 @@ def small(monkeypatch):
 
 
 @pytest.mark.usefixtures("small")
+def test_another_pupil_grows_the_maps_for_it_or_presses_those_of_a_file(tmp_path):
+    file = parse_scene("[eye]\nsclera = false\n")
+    scene = file.scene()
+    wide = file.with_pupil(scene, 3.2)
+    stated = parse_scene("[eye]\nsclera = false\npupil_radius = 3.2\n").scene()
+    for name, found in stated.maps.present().items():
+        np.testing.assert_array_equal(wide.maps.present()[name], found)
+    io.write_maps(tmp_path / "maps.exr", scene.maps)
+    kept = parse_scene('[maps]\nfile = "maps.exr"\n[eye]\nsclera = false\n', folder=tmp_path)
+    before = kept.scene()
+    after = kept.with_pupil(before, 3.2)
+    # Areas of the innermost and outermost rings, from the circles round them.
+    rings = [np.diff(np.linspace(r, 5.5, 33) ** 2)[[0, -1]] for r in (1.9, 3.2)]
+    thicker = (after.maps.stroma_depth / before.maps.stroma_depth)[:, [0, -1]]
+    np.testing.assert_allclose(thicker, np.tile(rings[0] / rings[1], (96, 1)), rtol=1e-5)
+    np.testing.assert_array_equal(after.maps.relief, before.maps.relief)
+
+
+@pytest.mark.usefixtures("small")
 def test_empty_file_is_the_default_eye():
     scene = parse_scene("").scene()
     assert scene.lights is not None and len(scene.lights) == 1 and scene.environment is None
