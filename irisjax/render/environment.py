@@ -75,6 +75,30 @@ class Environment(eqx.Module):
         return cls(room + key[..., None] * warm + fill[..., None] * cold + strip[..., None])
 
     @classmethod
+    def window(cls, rows: int = 256) -> "Environment":
+        """An invented dim room with a window of four panes up on the left: a cloudy sky over trees.
+
+        Left as the viewer sees. It lights a white sheet that faces out to a radiance of about 1.
+        It is narrower and brighter than the studio's softbox, so that its image in the tear film
+        is white beside an iris.
+        """
+        d = _directions(rows, 2 * rows)
+        right, up, shown = _plane(d, (-0.5, 0.62, -1.0))
+        soft = np.pi / rows
+        panes = shown * _within(right, 0.27, soft) * _within(up, 0.3, soft)
+        bars = np.maximum(_within(right, 0.014, soft), _within(up - 0.06, 0.014, soft))
+        ripple = (
+            0.03 * np.sin(23 * right) + 0.016 * np.sin(61 * right + 1) + 0.008 * np.sin(140 * up)
+        )
+        trees = np.clip(0.5 + (-0.14 + ripple - up) / (2 * soft), 0, 1)[..., None]
+        cloud = 1 + 0.25 * np.sin(9 * right + 4 * up) * np.sin(13 * up)
+        sky = 21.0 * (cloud * (1 - 0.5 * up))[..., None] * np.array([0.93, 1.0, 1.1])
+        outside = (1 - trees) * sky + trees * np.array([1.3, 1.5, 0.8])
+        room = (0.03 + 0.015 * d[..., 1:2]) * np.array([1.05, 1.0, 0.92])
+        seen = (panes * (1 - bars))[..., None]
+        return cls((1 - seen) * room + seen * outside)
+
+    @classmethod
     def sky(
         cls,
         sun_polar: float = 1.0,
@@ -230,24 +254,38 @@ def _solid_angles(rows: int, columns: int) -> np.ndarray:
     return np.broadcast_to((-np.diff(edges))[:, None] * 2 * np.pi / columns, (rows, columns))
 
 
-def _panel(direction: np.ndarray, centre, half, soft: float) -> np.ndarray:
-    """A softbox that faces the eye, 1 in its middle; `half` sides and `soft` edge as tangents."""
+def _plane(direction: np.ndarray, centre) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where directions meet a plane that faces the eye: tangents to the right (+x) and up from its
+    middle, and whether they meet it at all.
+    """
     forward = np.asarray(centre) / np.linalg.norm(centre)
-    right = np.cross((0.0, 1.0, 0.0), forward)
+    right = np.cross((0.0, 1.0, 0.0), -forward)
     right /= np.linalg.norm(right)
     along = direction @ forward
     depth = np.maximum(along, 1e-3)
-    shown, off = along > 0, 0.0
-    for h, axis in zip(half, (right, np.cross(forward, right)), strict=True):
-        place = np.abs(direction @ axis / depth) / h
-        inside = np.clip(0.5 + (1 - place) * h / soft, 0, 1)
-        shown, off = shown * (inside * inside * (3 - 2 * inside)), off + place**2
+    right, up = direction @ right / depth, direction @ np.cross(-forward, right) / depth
+    return right, up, along > 0
+
+
+def _within(place: np.ndarray, half: float, soft: float) -> np.ndarray:
+    """1 between -half and half, 0 beyond, with a soft edge."""
+    inside = np.clip(0.5 + (half - np.abs(place)) / soft, 0, 1)
+    return inside * inside * (3 - 2 * inside)
+
+
+def _panel(direction: np.ndarray, centre, half, soft: float) -> np.ndarray:
+    """A softbox that faces the eye, 1 in its middle; `half` sides and `soft` edge as tangents."""
+    right, up, shown = _plane(direction, centre)
+    across, along = half
+    off = (right / across) ** 2 + (up / along) ** 2
+    shown = shown * _within(right, across, soft) * _within(up, along, soft)
     return shown * (1 - np.minimum(off, 2.0) / 6)
 
 
 ENVIRONMENTS: dict[str, Callable[..., Environment]] = {
     "studio": Environment.studio,
     "sky": Environment.sky,
+    "window": Environment.window,
     "uniform": Environment.uniform,
 }
 """Environments that need no file."""
