@@ -275,6 +275,7 @@ class Eye(eqx.Module):
         return jnp.stack([rise * x, rise * y, -jnp.ones_like(x) / length], axis=-1)
 
 
+@eqx.filter_jit
 def rings_between(
     point: tuple[Numbers, Numbers], centre: Any, inner: Numbers, outer: Numbers
 ) -> tuple[Array, Array, Array]:

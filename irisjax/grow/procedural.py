@@ -7,11 +7,14 @@ Features are drawn from what textbooks show, not fitted to anything.
 """
 
 import math
+from typing import TypeVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.random import bits, fold_in
+from jaxtyping import Array
 
 from irisjax._types import PRNGKey, Scalar
 from irisjax.anatomy.eye import Eye
@@ -30,6 +33,7 @@ FOLD = 0.025  # height of a contraction furrow's crest, mm
 REST = 1.9
 """Radius of the pupil, mm, at which an iris has its mean thicknesses."""
 FINEST = 0.045  # mm between neighbouring fibres, below which they are not drawn
+_Radius = TypeVar("_Radius", Array, np.ndarray)
 
 
 def procedural(
@@ -178,7 +182,7 @@ def _grow(
     }
 
 
-def stroma_profile(radius: NoiseField) -> NoiseField:
+def stroma_profile(radius: _Radius) -> _Radius:
     """Thickness of a generic stroma, mm, at relative radii from 0 (2 mm) to 1 (5.5 mm).
 
     Quadratic through 0.645, 0.457 and 0.372 mm at 2.25, 3.5 and 5 mm, less IPE and ABL  [F09

@@ -133,13 +133,17 @@ def summary_of(
         found["visible_share"] = texture.valid.sum() / ring.sum()
         found["freckles_share"] = clone.freckles.sum() / ring.sum()
         if isinstance(clone, Coloured) and clone.texels is not None:
-            thickness = texture.from_polar(np.asarray(clone.texels.maps.stroma_depth))
+            shown, depth = ~clone.texels.hidden, np.asarray(clone.texels.maps.stroma_depth)
+            out = (np.arange(depth.shape[1]) + 0.5) / depth.shape[1]
+            area = texture.pupil_radius + (texture.iris_radius - texture.pupil_radius) * out
+            thickness, weights = depth[shown], np.broadcast_to(area, depth.shape)[shown]
         else:
             shape = clone.morphology
-            thickness = shape.thickness
+            thickness, weights = shape.thickness[texture.valid], np.ones(texture.valid.sum())
             found["clamped_texels"], found["deconvolution_mm"] = shape.clamped, shape.sigma_mm
             found["thickness_response"] = shape.response
-        low, middle, high = np.quantile(thickness[texture.valid], [0.025, 0.5, 0.975])
+        shares, known = [0.025, 0.5, 0.975], {"weights": weights, "method": "inverted_cdf"}
+        low, middle, high = np.quantile(thickness, shares, **known)
         found["stroma_thickness_mm"] = {"q2.5": low, "median": middle, "q97.5": high}
     if isinstance(clone, Fitted):
         fit = clone.fit

@@ -32,6 +32,7 @@ from irisjax.photo.texels import OwnPigments
 from irisjax.photo.texture import (
     Refraction,
     Unrefracted,
+    follow_cells,
     follow_refraction,
     pixels_shown,
     unrefract,
@@ -57,7 +58,7 @@ from irisjax.render.environment import LUMINANCE, Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrators import finer
 from irisjax.render.lights import Lights
-from irisjax.render.picture import illuminate, respond, shade, surroundings, texture
+from irisjax.render.picture import LitView, illuminate, respond, shade, surroundings, texture
 from irisjax.render.project import View, look, onto_picture
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
@@ -406,13 +407,14 @@ def clone_eye(
     check_known("media", settings.media, MEDIA)
     check_known("method", settings.method, METHODS)
     check_known("stage", last, STAGES)
-    light, index = settings.integrator, _eye_with(settings.media).aqueous_index
-    table = shipped_table(Iris().indices(index))
-    if isinstance(light, RadiativeIntegrator) and light.solver is None and table is None:
-        raise ValueError(
-            f"radiative transfer has no table for the refractive indices of media "
-            f"{settings.media}, which a fit needs: give --process ilit-2006 or other --media"
-        )
+    light = settings.integrator
+    if isinstance(light, RadiativeIntegrator) and light.solver is None:
+        index = _eye_with(settings.media).aqueous_index
+        if shipped_table(Iris().indices(index)) is None:
+            raise ValueError(
+                f"radiative transfer has no table for the refractive indices of media "
+                f"{settings.media}, which a fit needs: give --process ilit-2006 or other --media"
+            )
     made: dict[str, Callable[[Any], Outlined]] = {
         "outlines": lambda found: outline_eye(found, given),
         "pose": lambda found: pose_eye(found, settings, given),
@@ -604,9 +606,9 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
         target = target - around.T.reshape(*shape, 3)
     target = np.maximum(target, 0) ** (1 / fitted.fit.values["contrast"])
     usual = np.log(generic_thickness(radius) / float(fitted.base.stroma_thickness))
-    flat = partial(unrefract, pose=fitted.pose, where=fitted.refraction)
+    cells_of = partial(follow_cells, fitted.pose, fitted.refraction)
     known = fitted.view, fitted.tables, fitted.exposure, pigments.doubt_of_exposures(fitted.fit)
-    found = texels.colour_iris(target, clear, shown, usual, scene, *known, flat)
+    found = texels.colour_iris(target, clear, shown, usual, scene, *known, cells_of)
     exposure = fitted.exposure * found.gain ** fitted.fit.values["contrast"]
     return Coloured(**vars(dataclasses.replace(fitted, exposure=exposure)), texels=found)
 
@@ -622,7 +624,11 @@ def compare_with_photograph(clone: Fitted) -> PictureDifference:
     """Render a clone with its photograph's camera and compare the two."""
     scene, view, exposure = clone.scene(), clone.view, clone.exposure
     contrast, found = clone.fit.values["contrast"], texture(view, scene)
-    light, response = illuminate(view, found, scene, clone.tables), respond(scene)
+    own, response = clone.texels if isinstance(clone, Coloured) else None, respond(scene)
+    if own is None:
+        light = illuminate(view, found, scene, clone.tables)
+    else:  # as for the texels
+        light = LitView(surroundings(view, found, scene), own.light)
     bare = dataclasses.replace(found, residual=None)
     shown = [np.asarray(shade(view, parts, light, response)) for parts in (found, bare)]
     veil = 0 if clone.veil is None else clone.veil * clone.film()

@@ -187,13 +187,13 @@ def fit_pigments(windows: Windows, base: Iris) -> PigmentFit:
     free = [i for i, n in enumerate(FREE_NAMES) if n != "room" or windows.room is not None]
     starts = np.zeros((len(_STARTS), len(free)))
     starts[:, : len(CONCENTRATIONS)] = _STARTS
-    made = _searched(jnp.asarray(starts), windows, base, tuple(free))
+    made = jax.tree.map(np.asarray, _searched(starts, windows, base, tuple(free)))
     (found, log_density), (taken, ended), covariance = made
-    best = int(np.nanargmax(np.asarray(log_density[:, -1])))
+    best = int(np.nanargmax(log_density[:, -1]))
     z = np.zeros((len(starts), _TURNS, len(FREE_NAMES)))
-    z[..., free] = np.asarray(found)
+    z[..., free] = found
     spread = np.eye(len(FREE_NAMES))
-    spread[np.ix_(free, free)] = np.asarray(covariance[best])
+    spread[np.ix_(free, free)] = covariance[best]
     log = []
     for at in np.ndindex(len(starts), _TURNS):
         row = {"start": at[0] + 1, "turn": at[1] + 1, "steps": taken[at]}
@@ -215,11 +215,7 @@ def doubt_of_exposures(fit: PigmentFit) -> Float[np.ndarray, "3 3"]:
 
     `contrast`, which acts much as they do within the range of an iris, is left out.
     """
-
-    def exposures(z):
-        return jnp.log(_exposures(parameter_values(z)))
-
-    slope = np.asarray(jax.jacfwd(exposures)(jnp.asarray(fit.z)))
+    slope = np.asarray(_slope_of_exposures(fit.z))
     return slope @ fit.covariance @ slope.T
 
 
@@ -506,6 +502,11 @@ def _in_rings(values, present):
     number = count.sum(1)[:, 0]
     means = jnp.where(count, by_ring, 0).sum(1) / jnp.maximum(number, 1)[:, None]
     return number, means, jnp.where(count, by_ring - means[:, None], 0)
+
+
+@eqx.filter_jit
+def _slope_of_exposures(z):
+    return jax.jacfwd(lambda z: jnp.log(_exposures(parameter_values(z))))(z)
 
 
 @eqx.filter_jit

@@ -27,7 +27,7 @@ from irisjax.numerics.interpolation import chebyshev
 from irisjax.photo.filling import fill_by_texture
 from irisjax.photo.photograph import Brightness, Colours, Mask
 from irisjax.photo.pigments import iris_of_concentrations
-from irisjax.photo.texture import MAP_SHAPE, Unrefracted, fill_holes
+from irisjax.photo.texture import MAP_SHAPE, Refraction, fill_holes, sampled
 from irisjax.render import picture
 from irisjax.render import polynomials as products
 from irisjax.render.illumination import Illumination
@@ -83,6 +83,7 @@ class OwnPigments(NamedTuple):
         explained: Share of the variance of the encoded colours that the pigments explain.
         gain: Factor on the exposure of the global fit.
         error: Largest error of the table that was inverted, relative to the brightest texel.
+        light: Light on the pixels of the iris, see `AbstractIntegrator.illuminate`.
     """
 
     iris: Iris
@@ -95,6 +96,7 @@ class OwnPigments(NamedTuple):
     explained: float
     gain: float
     error: float
+    light: Any
 
 
 class Seen(NamedTuple):
@@ -161,7 +163,7 @@ def colour_iris(
     tables: Illumination | None,
     exposure: Float[np.ndarray, "3"],
     doubt: Float[np.ndarray, "3 3"],
-    lay_flat: Callable[[Colours, Mask], Unrefracted],
+    cells_of: Callable[[tuple[int, int]], Refraction],
 ) -> OwnPigments:
     """Solve the texels of an iris.
 
@@ -175,7 +177,7 @@ def colour_iris(
         tables: Its tables of light.
         exposure: Exposures of the channels.
         doubt: Covariance of their logarithms.
-        lay_flat: Undoes the refraction of a picture with a mask.
+        cells_of: Returns where the middles of so many angles and radii of cells appear.
     """
     shape, iris, seen = known.shape, scene.tissue, view.iris
     integrator: Any = scene.integrator
@@ -211,22 +213,19 @@ def colour_iris(
     iris = moved_iris(iris, np.exp(middle))
 
     # Cells about as fine as the photograph's pixels, of few sizes, so that programs are shared.
-    everywhere = np.ones_like(shown)
-    laid = lay_flat(shown[..., None].astype(np.float32), everywhere)
     per_mm = scene.camera.size[0] / float(scene.camera.width)
-    sides = 2 * np.pi * laid.iris_radius, laid.iris_radius - laid.pupil_radius
+    pupil, root = float(scene.eye.pupil_radius), float(scene.eye.iris_radius)
     angles, radii = (
         count << int(np.clip(np.ceil(np.log2(side * per_mm / count)), 0, 2))
-        for count, side in zip(MAP_SHAPE, sides, strict=True)
+        for count, side in zip(MAP_SHAPE, (2 * np.pi * root, root - pupil), strict=True)
     )
-    cells = angles, radii
+    cells = cells_of((angles, radii))
 
     def polar(values: Float[np.ndarray, "rows columns channels"], of: Mask) -> np.ndarray:
-        laid = lay_flat(fill_holes(values, ~of), everywhere)
-        filled = fill_holes(laid.pixels, ~laid.valid)
-        return np.stack([laid.to_polar(c, cells) for c in np.moveaxis(filled, -1, 0)])
+        filled = np.moveaxis(fill_holes(values, ~of), -1, 0)
+        return np.stack([sampled(c, cells.row, cells.column) for c in filled])
 
-    hidden = laid.to_polar(laid.pixels[..., 0], cells) < 0.5
+    hidden = sampled(shown.astype(np.float32), cells.row, cells.column) * cells.visible < 0.5
 
     def maps_of(logs: np.ndarray, residual: np.ndarray | None = None) -> IrisMaps:
         stroma, *melanins = map(jnp.asarray, np.exp(logs))
@@ -267,6 +266,7 @@ def colour_iris(
         float(explained),
         gain,
         response.error,
+        shone,
     )
 
 

@@ -198,7 +198,7 @@ def generic_thickness(radius: np.ndarray) -> np.ndarray:
     again beyond 5.08 mm.
     """
     within = np.clip(np.asarray(radius, np.float32), MEASURED.low, MEASURED.high)
-    return np.asarray(stroma_profile(jnp.asarray((within - 2.0) / 3.5)))
+    return stroma_profile((within - 2.0) / 3.5)
 
 
 def encoded_intensity(relative: Brightness) -> Brightness:

@@ -1,6 +1,7 @@
 """Functions of directions in which the BRDFs of tabulated irides are written."""
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -24,6 +25,7 @@ _AZIMUTHS = 0.0, np.pi / 2, np.pi  # three values determine the orders 0, 1 and 
 _OFF = 0.4, 1.9, 2.8
 _FALLS = 0.2  # coefficients, from degree to degree in a cosine
 _MIXTURES = 6
+_CHOSEN_BY = 4096  # pixels
 
 PerPixel = Float[Array, " pixels"]
 Functions = Float[Array, "functions pixels"]
@@ -158,9 +160,10 @@ def light_of(
     tint: Float[Array, "lights 3"] | None,
     eye: Eye,
     angles: AngularFunctions,
-) -> Float[Array, "tints functions pixels"]:
-    """Sum over the lights of irradiance times the functions of directions and the share that
-    reaches the camera.
+    mixtures: Float[Array, "functions mixtures"] | None,
+) -> Float[Array, "tints parts pixels"]:
+    """Sum over the lights of irradiance times the functions of directions, or mixtures of them, and
+    the share that reaches the camera.
     """
     seen, facing = turned
     flat = eye.iris_normal(joined(seen.point))
@@ -185,20 +188,31 @@ def light_of(
     tints = jnp.ones((flux.shape[0], 1), flux.dtype) if tint is None else tint
     shape = tints.shape[1], len(angles.weights()), seen.cosine.size
     total = jax.lax.scan(add, jnp.zeros(shape, flux.dtype), (flux, tints))[0]
+    total = total if mixtures is None else jnp.einsum("kr,tkp->trp", mixtures, total)
     return total * shares(seen, eye)
 
 
 @eqx.filter_jit
-def mixed(light: Float[Array, "tints functions pixels"], angles: AngularFunctions) -> AngularLight:
-    """Light in the mixtures of functions that it has most of, as coefficients weigh them, and what
-    of each function is in a mixture.
+def some_of(pixels: Any) -> Any:
+    """As many pixels as mixtures are chosen by, from all over the picture."""
+    count = jax.tree.leaves(pixels)[0].shape[-1]
+    places = np.linspace(0, count - 1, _CHOSEN_BY).astype(int)
+    return jax.tree.map(lambda leaf: leaf[..., places], pixels)
+
+
+@eqx.filter_jit
+def mixtures_of(
+    light: Float[Array, "tints functions pixels"], angles: AngularFunctions
+) -> tuple[Float[Array, "functions mixtures"], Float[Array, "functions mixtures"]]:
+    """Choose the mixtures of functions that light has most of, as coefficients weigh them: what a
+    function adds to each, and the share of each in a function.
     """
     weights = jnp.asarray(angles.weights(), light.dtype)[:, None]
     weighted = light * weights
     product = jnp.einsum("tkp,tlp->kl", weighted, weighted)
     product = product / jnp.maximum(jnp.trace(product), jnp.finfo(light.dtype).tiny)
     most = jnp.linalg.eigh(product)[1][:, -_MIXTURES:]
-    return jnp.einsum("kr,tkp->trp", most, weighted), most / weights
+    return most * weights, most / weights
 
 
 def surface_indices(iris: Iris, aqueous_index: Scalar) -> tuple[Scalar, Scalar]:

@@ -16,8 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from irisjax.anatomy.eye import Cornea, Sclera
+from irisjax.anatomy.eye import Cornea, Eye, Sclera
 from irisjax.anatomy.lids import Lids
+from irisjax.numerics.chunks import pixelwise
 from irisjax.render import outside
 from irisjax.render.bands import Bands, colour_bands, spectral_bands
 from irisjax.render.environment import LUMINANCE
@@ -25,7 +26,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractResponse, checked_response
 from irisjax.render.lids import LASH, in_front, lid_colour, lid_colours, lids_lit
 from irisjax.render.outside import ColourTable, colour_table
-from irisjax.render.project import View, look, onto_picture, project
+from irisjax.render.project import IrisPixels, View, look, onto_picture, project
 from irisjax.render.scene import Scene
 from irisjax.render.shading import Facing, Front, ranges_of, textures_at
 from irisjax.tissue.maps import Scales
@@ -287,8 +288,12 @@ def _asked(scene: Scene) -> tuple[Any, Any, Bands, Scales]:
 def _residual(view: View, scene: Scene) -> Float[Array, "channels pixels"] | None:
     if view.iris is None or scene.maps is None or scene.maps.residual is None:
         return None
-    channels = tuple(jnp.moveaxis(scene.maps.residual, -1, 0))
-    return jnp.stack(textures_at(view.iris, scene.eye, channels))
+    return _residual_at(view.iris, scene.eye, scene.maps.residual)
+
+
+@pixelwise
+def _residual_at(pixels: IrisPixels, eye: Eye, residual: Array) -> Float[Array, "channels pixels"]:
+    return jnp.stack(textures_at(pixels, eye, tuple(jnp.moveaxis(residual, -1, 0))))
 
 
 def _spectrum(scene: Scene) -> _Spectrum:

@@ -11,7 +11,14 @@ import numpy as np
 from jax.core import Tracer
 
 from irisjax._types import Scalar
-from irisjax.render.angular import AngularFunctions, AngularLight, light_of, mixed, surface_indices
+from irisjax.render.angular import (
+    AngularFunctions,
+    AngularLight,
+    light_of,
+    mixtures_of,
+    some_of,
+    surface_indices,
+)
 from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
@@ -85,13 +92,17 @@ class RadiativeIntegrator(AbstractTabulated):
         facing: Facing | None,
     ) -> AngularLight:
         """Sum the lights in the functions of directions. The directions of one scene need a few
-        mixtures of these functions; all of them are kept where something is traced, for
-        derivatives.
+        mixtures of these functions, which some of its pixels show; all of them are kept where
+        something is traced, for derivatives.
         """
         angles = self.directions(front.iris, front.eye.aqueous_index)
         flux = fluxes_of(lights, front.eye, tables)
-        light = light_of((pixels, facing), flux, lights.tint, front.eye, angles)
-        return (light, None) if isinstance(light, Tracer) else mixed(light, angles)
+        turned, known = (pixels, facing), (flux, lights.tint, front.eye, angles)
+        some = light_of(some_of(turned), *known, None)
+        if isinstance(some, Tracer):
+            return light_of(turned, *known, None), None
+        mixtures, shares = mixtures_of(some, angles)
+        return light_of(turned, *known, mixtures), shares
 
 
 def _deepest(iris: Iris, aqueous_index, bands: Bands, ranges: Scales) -> Layers:

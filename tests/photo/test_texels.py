@@ -13,7 +13,7 @@ from window_scenes import EYE, LIGHTS, SHAPE
 from irisjax.photo.light import find_veil
 from irisjax.photo.photograph import Ellipse
 from irisjax.photo.texels import colour_iris, moved_iris
-from irisjax.photo.texture import HALF_WIDTH, Unrefracted, sampled
+from irisjax.photo.texture import Refraction
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.picture import draw, surroundings, texture, within_gamut
@@ -30,7 +30,6 @@ CAMERA = Camera(width=13.0, size=SHAPE)
 BARE = EYE.replace(cornea=None)
 INTEGRATOR = Separable(degrees=(2, 6, 6, 6, 2), solver=IlitExact(6))
 EXPOSURE = np.array([1.4, 1.3, 1.2])
-SIZE = 128  # of the texture
 ANGLES, RADII = 96, 16
 
 
@@ -49,16 +48,15 @@ def two_colours() -> IrisMaps:
     return IrisMaps(**dict(zip(names, maps, strict=True)))
 
 
-def lay_flat(picture, known) -> Unrefracted:
+def cells_of(shape) -> Refraction:
     """A bare iris is seen as it lies."""
-    along = ((np.arange(SIZE) + 0.5) / SIZE * 2 - 1) * HALF_WIDTH
-    x, y = np.meshgrid(along, -along)
+    angle, out = ((np.arange(n) + 0.5) / n for n in shape)
+    pupil, root = float(BARE.pupil_radius), float(BARE.iris_radius)
+    radius, angle = pupil + (root - pupil) * out, 2 * np.pi * angle[:, None]
     per_mm = CAMERA.size[0] / float(CAMERA.width)
-    column, row = (c * per_mm + (n - 1) / 2 for c, n in zip((x, -y), SHAPE[::-1], strict=True))
-    pixels = np.stack([sampled(c, row, column) for c in np.moveaxis(picture, -1, 0)], -1)
-    valid = sampled(known.astype(np.float32), row, column) > 0.999
-    radii = float(BARE.pupil_radius), float(BARE.iris_radius)
-    return Unrefracted(pixels.astype(np.float32), valid, *radii)
+    at = radius * np.cos(angle), -radius * np.sin(angle)
+    column, row = (c * per_mm + (n - 1) / 2 for c, n in zip(at, SHAPE[::-1], strict=True))
+    return Refraction(*(c.astype(np.float32) for c in (column, row)), np.ones(shape, bool))
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +78,7 @@ def solved(view, reflection: bool, wrong: float = 0.0):
     scene, doubt, usual = scene_with(None), np.full((3, 3), wrong**2), np.zeros(SHAPE)
     lit = target * np.exp(wrong), EXPOSURE * np.exp(-wrong)
     masks = known, known | ((radius > inner - 0.15) & (radius < outer))
-    found = colour_iris(lit[0], *masks, usual, scene, view, None, lit[1], doubt, lay_flat)
+    found = colour_iris(lit[0], *masks, usual, scene, view, None, lit[1], doubt, cells_of)
     return target, known, window, found
 
 
