@@ -9,7 +9,15 @@ import numpy as np
 import pytest
 from window_scenes import BASE, CAMERA, EYE, LIGHTS, POSE, QUICK, SHAPE, maps, view
 
+from irisjax.anatomy.eye import Eye
+from irisjax.photo.clone import FIBRILS, SEARCHED
 from irisjax.photo.light import Lighting
+from irisjax.photo.pigments import (
+    FREE_NAMES,
+    PRIOR_COVARIANCE,
+    iris_of_concentrations,
+    parameter_values,
+)
 from irisjax.photo.windows import (
     ANGLES,
     MARGIN,
@@ -21,11 +29,15 @@ from irisjax.photo.windows import (
     iris_alone,
     windows_of,
 )
+from irisjax.render.bands import colour_bands
 from irisjax.render.environment import Environment
+from irisjax.render.integrator import checked_response
 from irisjax.render.picture import draw
 from irisjax.render.project import look
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
+from irisjax.render.shading import ranges_of
+from irisjax.tissue.iris import Iris
 
 OTHER = BASE.replace(
     eumelanin=jnp.asarray(1.0), pheomelanin=jnp.asarray(0.3), abl_fraction=jnp.asarray(0.7)
@@ -163,3 +175,19 @@ def test_features_of_an_average_iris_have_no_place():
     still = np.abs(radiance(moved, False) / radiance(usual, False) - 1)
     assert np.median(still) > 0.01
     assert float(usual.relief.max()) > 0.02
+
+
+@pytest.mark.peer
+def test_the_table_of_a_search_by_radiative_transfer_errs_less_than_windows_do():
+    """By half of the least error that a window is assumed to have, at most, for irides of the prior."""
+    maps = average_maps(Eye())
+    base = Iris(fibril_radius=jnp.asarray(FIBRILS), stroma_thickness=jnp.mean(maps.stroma_depth))
+    ranges, bands = ranges_of(base, maps.replace(freckles=None)), colour_bands(cornea=Eye().cornea)
+    known, half = (
+        (Eye().aqueous_index, bands, ranges),
+        0.5 * np.sqrt(np.diag(PRIOR_COVARIANCE)).min(),
+    )
+    made = RadiativeIntegrator(**SEARCHED).prepare(base, *known)
+    for z in np.random.default_rng(1).normal(size=(6, len(FREE_NAMES))):
+        iris = iris_of_concentrations(parameter_values(z), base)
+        assert checked_response(made, iris, *known).error < half
