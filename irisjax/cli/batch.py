@@ -27,7 +27,7 @@ from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.model_comparison import compare_processes, other_of
 from irisjax.infer.observation import with_values
 from irisjax.infer.parameters import kind
-from irisjax.infer.populations import likelihood_draws
+from irisjax.infer.populations import likelihood_draws, tails
 from irisjax.infer.problem import Problem, reported
 from irisjax.io.fits import (
     CONVERGED,
@@ -373,6 +373,7 @@ def _sampled(eye: _Eye) -> EyeRow:
 def _draw_likelihood(problem: Problem, folder: Path, key: jax.Array) -> None:
     """Write what `irisjax compare-groups` needs of an eye."""
     names = [n for n in problem.fitted if kind(n) not in ("gain", "noise")]
-    draws = likelihood_draws(problem, fit(problem, key=key), names, key=key)
+    starts = tails(problem, np.asarray(fit(problem, key=key).z), names)
+    draws = likelihood_draws(problem, starts, names, key=key)
     with replacing(folder / LIKELIHOOD) as path, path.open("wb") as file:
         np.savez(file, **dict(zip(names, draws.T, strict=True)))

@@ -141,7 +141,7 @@ def _compared(one: FittedEyes, two: FittedEyes, seed: int) -> tuple[list[str], l
 def _method(fewest: Sequence[float]) -> str:
     """Say what the eyes' likelihoods are made of, and whether their draws reach the groups."""
     counts = " and ".join(f"{n:.0f}" for n in fewest)
-    said = f"likelihood of each eye: {KERNELS} draws of its posterior, divided by its prior"
+    said = f"likelihood of each eye: a mixture fitted to {KERNELS} draws, divided by their prior"
     said = f"{said}; the group's distribution leaves {counts} effective ones or more"
     if min(fewest) >= _FEWEST:
         return said

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 from scipy import stats
 from scipy.optimize import brentq
 
@@ -87,7 +87,7 @@ def importance_sample(
     Raises:
         ValueError: If no draw at all has a density above zero.
     """
-    mean, covariance = _completed(log_density, start)
+    mean, covariance = completed(log_density, start)
     proposals: list[_First | Proposal] = [_First(mean, covariance)]
     z, values = np.empty((0, len(mean))), np.empty(0)
     while True:
@@ -100,8 +100,8 @@ def importance_sample(
             raise ValueError("no draw round the least-squares fit has a probability above zero")
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
         effective = _effective(log_weight, 1.0)
-        power = _tempered(log_weight)
-        samples = z[_resampled(log_weight, power, random)]
+        power = tempered(log_weight)
+        samples = z[resampled(log_weight, power, random)]
         if effective >= EFFECTIVE or len(proposals) == ROUNDS:
             break
         straight = Straightening.of_samples(samples)
@@ -110,8 +110,10 @@ def importance_sample(
     return ImportanceSample(samples, effective, log_integral, len(proposals))
 
 
-def _completed(log_density, start: Approximation) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and covariance of the approximation, unfitted coordinates filled in."""
+def completed(
+    log_density: Callable[[np.ndarray], np.ndarray], start: Approximation
+) -> tuple[Float[np.ndarray, " free"], Float[np.ndarray, "free free"]]:
+    """Return mean and covariance of the approximation, unfitted coordinates filled in."""
     mean, covariance = np.array(start.z, float), np.array(start.covariance, float)
     side = np.linspace(-4.0, 4.0, 64)
     for i in np.flatnonzero(np.diag(covariance) == 0):
@@ -150,8 +152,8 @@ def _effective(log_weight, power: float) -> float:
     return float(w.sum() ** 2 / (w**2).sum())
 
 
-def _tempered(log_weight) -> float:
-    """Largest power, up to 1, with enough effective draws to fit a proposal to."""
+def tempered(log_weight: Float[np.ndarray, " n"]) -> float:
+    """Return the largest power, up to 1, with enough effective draws to fit a proposal to."""
     least = min(_FITTED_TO, 0.5 * float(np.isfinite(log_weight).sum()))
     if _effective(log_weight, 1.0) >= least:
         return 1.0
@@ -159,8 +161,10 @@ def _tempered(log_weight) -> float:
     return float(found)
 
 
-def _resampled(log_weight, power: float, random) -> np.ndarray:
-    """Indices of `DRAWS` draws by systematic resampling [Carpenter et al. 1999]."""
+def resampled(
+    log_weight: Float[np.ndarray, " n"], power: float, random: np.random.RandomState
+) -> Int[np.ndarray, " draws"]:
+    """Return the indices of `DRAWS` draws by systematic resampling [Carpenter et al. 1999]."""
     w = np.exp(power * (log_weight - log_weight.max()))
     at = (random.random_sample() + np.arange(DRAWS)) * (w.sum() / DRAWS)
     return np.minimum(np.searchsorted(np.cumsum(w), at), w.size - 1)

@@ -3,32 +3,40 @@
 Every eye has its own parameters z_i, normal about the group's mean μ with the spreads τ, in the
 coordinates in which the fits' priors are standard normal [Gelman et al. 2013, Section 5.5]. The
 posterior of an eye, divided by its prior, is the eye's likelihood. A least-squares fit gives a
-normal posterior; draws give a sum of normal kernels with their mean and covariance [West 1993]. In
-either case z_i is integrated exactly; μ and τ are sampled by importance.
+normal posterior, draws a mixture of normal distributions. In either case z_i is integrated exactly;
+μ and τ are sampled by importance.
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Array, Float, Int
 from scipy.special import log_ndtr, ndtri_exp
 from scipy.stats import norm
 
 from irisjax._types import PRNGKey
-from irisjax.infer.importance import DRAWS, Approximation, Start, importance_sample
+from irisjax.infer.importance import DRAWS, EFFECTIVE, Start, completed, importance_sample
+from irisjax.infer.least_squares import least_squares, levenberg_marquardt
+from irisjax.infer.mixtures import Mixture, mixture_sample
 from irisjax.infer.posterior import Density
+from irisjax.infer.problem import Problem
 from irisjax.numerics.streams import words_of
 
 PRIOR = "each mean as an eye in the fits; each spread half-normal, as wide as the fits' prior"
 """The prior of a group, in words."""
-KERNELS = 256
+KERNELS = 1024
 """Number of draws of an eye's posterior that are used."""
-
-
-WIDTH = 2.0
+WIDTH = 3.0
 """Standard deviation of the priors of `likelihood_draws`: those of the fits, 1, leave hardly a draw
 where the eyes of a group far out in the prior lie."""
+_COMPONENTS = 8  # of the mixture that is fitted to draws
+_TAIL = 1.5 * WIDTH  # where a parameter is held for the likelihood's tails
+_HOLD = 0.1  # standard deviation with which it is
+_FAINT = 25.0  # logarithm of densities that do not count
+_LEAST = 1e-4  # precision that a flat likelihood is given
 
 
 class Population(NamedTuple):
@@ -67,48 +75,127 @@ def population(
         width: Standard deviation of the normal priors of `draws` (the fits' is 1).
         key: Source of the draws.
     """
-    free, kernels, each = z.shape[1], z[:, None], covariance
-    if draws is not None:
+    free, random = z.shape[1], np.random.RandomState(words_of(key))
+    if draws is None:
+        mixtures = [
+            Mixture(np.ones(1), m[None], c[None]) for m, c in zip(z, covariance, strict=True)
+        ]
+    else:
         z = draws.mean(axis=1)
         off = draws - z[:, None]
         covariance = np.einsum("nki,nkj->nij", off, off) / (draws.shape[1] - 1)
-        # Silverman's width, in units of the whole covariance; kernels are drawn to the mean.
-        share = (4 / (free + 2) / draws.shape[1]) ** (2 / (free + 4))
-        kernels, each = z[:, None] + np.sqrt(1 - share) * off, share * covariance
-    random = np.random.RandomState(words_of(key))
-    eyes = [_likelihood(m, c, width) for m, c in zip(kernels, each, strict=True)]
+        mixtures = [Mixture.of_draws(each, _COMPONENTS, random) for each in draws]
+    eyes = [_likelihood(mixture, width) for mixture in mixtures]
 
     def log_density(x):
-        found = (eye(x[:, :free], _spread(x[:, free:]))[0] for eye in eyes)
+        found = (eye(x[:, :free], _spread(x[:, free:])) for eye in eyes)
         return sum(found) - 0.5 * (x**2).sum(axis=1)
 
     found = importance_sample(log_density, _moments(z, covariance), random)
     mean, spread = found.samples[:, :free], _spread(found.samples[:, free:])
-    typical = np.median(mean, axis=0, keepdims=True), np.median(spread, axis=0, keepdims=True)
+    middle, typical = np.median(mean, axis=0), np.median(spread, axis=0)
     precision = [_precision(c, width) for c in covariance]
-    own = np.mean([np.diag(_shared(typical[1], p)[0][0]) for p in precision], axis=0)
-    fewest = min(float(eye(*typical)[1][0]) for eye in eyes)
+    own = np.mean([np.diag(_kept_share(typical, p)) for p in precision], axis=0)
+    fewest = 1.0
+    if draws is not None:
+        # With a quarter of the eye's own variance, as a mixture resolves no narrower group.
+        near = np.sqrt(typical**2 + 0.25 * draws.var(axis=1, keepdims=True))
+        log = norm.logpdf(draws, middle, near) - norm.logpdf(draws, 0, width)
+        log = log.sum(axis=2)
+        weights = np.exp(log - log.max(axis=1, keepdims=True))
+        fewest = float((weights.sum(axis=1) ** 2 / (weights**2).sum(axis=1)).min())
     return Population(mean, spread, 1 - own, found.effective, fewest)
 
 
 def likelihood_draws(
-    target: Density, start: Approximation, names: Sequence[str], *, key: PRNGKey
+    target: Density, starts: Sequence[Start], names: Sequence[str], *, key: PRNGKey
 ) -> Float[np.ndarray, "kernels parameters"]:
     """Draw some parameters of an eye from its likelihood times normal priors of `WIDTH`.
 
     Args:
         target: The eye's posterior under its own priors, such as a `Problem`.
-        start: Normal approximation of it.
+        starts: Normal approximations of places where the density may be large; see `tails`.
         names: Of the parameters; the others keep their own priors and are left out.
         key: Source of the draws.
     """
-    kept = [list(target.names).index(name) for name in names]
+    kept, wide = _kept(target, names)
 
     def log_density(z):
         return np.asarray(target.log_density(z)) + 0.5 * (1 - WIDTH**-2) * (z[:, kept] ** 2).sum(1)
 
-    found = importance_sample(log_density, start, np.random.RandomState(words_of(key)))
-    return found.samples[np.linspace(0, DRAWS - 1, KERNELS).astype(int)][:, kept]
+    places = [completed(log_density, start) for start in starts]
+    means = np.stack([*(m for m, _ in places), np.zeros(wide.size)])
+    # Half as wide again, so that little is missed; the last one is the prior.
+    covariances = np.stack([*(1.5 * c for _, c in places), np.diag(2 / wide)])
+    log = log_density(means)
+    near = log > log[:-1].max() - _FAINT
+    near[-1] = True
+    first = Mixture(np.full(near.sum(), 1 / near.sum()), means[near], covariances[near])
+    random = np.random.RandomState(words_of(key))
+    samples, effective = mixture_sample(log_density, first, random)
+    if effective < EFFECTIVE:
+        samples = importance_sample(log_density, starts[0], random).samples
+    return samples[np.linspace(0, DRAWS - 1, KERNELS).astype(int)][:, kept]
+
+
+def tails(problem: Problem, z: Float[np.ndarray, " free"], names: Sequence[str]) -> list[Start]:
+    """Approximate the likelihood times normal priors of `WIDTH` about a fit and in its tails.
+
+    Where a parameter's likelihood does not end, such as that of an ABL fraction near zero, another
+    group's distribution can give most of the weight to a tail that no draw about the fit reaches.
+    Each parameter is therefore held far out on either side, the others are fitted there, and the
+    curvature without the hold gives the covariance.
+    """
+    kept, wide = _kept(problem, names)
+    held = np.array([kept[0], *np.repeat(kept, 2)])
+    at = np.array([0.0, *np.tile([_TAIL, -_TAIL], len(kept))])
+    hold = np.full(held.size, 1 / _HOLD)
+    hold[0] = 0  # the fit itself, under wide priors
+    found = _held(problem.unnamed(), *map(jnp.asarray, (z, wide, held, at, hold)))
+    places, precision = map(np.asarray, found)
+    good = np.isfinite(places).all(axis=1) & np.isfinite(precision).all(axis=(1, 2))
+    covariance = np.linalg.inv(precision[good])
+    covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
+    unfitted = [i for i in range(len(z)) if i not in problem.moving]
+    covariance[:, unfitted] = 0
+    covariance[:, :, unfitted] = 0
+    return [Start(m, c) for m, c in zip(places[good], covariance, strict=True)]
+
+
+def _kept(target: Density, names: Sequence[str]) -> tuple[list[int], np.ndarray]:
+    """Places of the parameters, and the precision of all priors."""
+    kept = [list(target.names).index(name) for name in names]
+    wide = np.ones(len(target.names))
+    wide[kept] = WIDTH**-2
+    return kept, wide
+
+
+@eqx.filter_jit
+def _held(
+    problem: Problem,
+    z: Float[Array, " free"],
+    wide: Float[Array, " free"],
+    held: Int[Array, " places"],
+    at: Float[Array, " places"],
+    hold: Float[Array, " places"],
+) -> tuple[Float[Array, "places free"], Float[Array, "places free free"]]:
+    """Fit with one coordinate held, and the precision without the hold."""
+    free = z.size
+
+    def residuals(x, weight, given):
+        problem, stiff, value = given
+        data, _, _ = problem.evaluated(x)
+        return jnp.concatenate([data, jnp.sqrt(wide) * x, stiff * (x - value)]), None
+
+    def one(index, value, hold):
+        stiff = jnp.where(jnp.arange(free) == index, hold, 0.0)
+        start = jnp.where(stiff > 0, value, z)
+        search = levenberg_marquardt(1e-3, 1e-3)
+        best = least_squares(residuals, (problem, stiff, value), start, solver=search, max_steps=30)
+        jacobian = best.jacobian[:-free]
+        return best.x, jacobian.T @ jacobian
+
+    return eqx.filter_vmap(one)(held, at, hold)
 
 
 def _spread(x: np.ndarray) -> np.ndarray:
@@ -133,33 +220,43 @@ def _precision(covariance: np.ndarray, width: float) -> np.ndarray:
     return (vectors * np.maximum(values, 0)) @ vectors.T
 
 
-def _shared(spread, precision) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """B L, B = (T⁻¹ + L)⁻¹ and log det(1 + T L) for each row of spreads."""
-    root = np.eye(len(precision)) + spread[:, :, None] * precision * spread[:, None, :]
-    between = spread[:, :, None] * np.linalg.inv(root) * spread[:, None, :]
-    return between @ precision, between, np.linalg.slogdet(root)[1]
+def _kept_share(spread: np.ndarray, precision: np.ndarray) -> np.ndarray:
+    """Shares (T⁻¹ + L)⁻¹ L of an eye's own values that are left."""
+    scaled = spread[:, None] * precision
+    inner = np.eye(len(spread)) + scaled * spread
+    return spread[:, None] * np.linalg.solve(inner, scaled)
 
 
-def _likelihood(kernels: np.ndarray, covariance: np.ndarray, width: float) -> Callable[..., Any]:
-    """An eye's log likelihood of means and spreads, and the effective number of its kernels.
+def _likelihood(mixture: Mixture, width: float) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """An eye's log likelihood of means and spreads, but for a constant.
 
-    A kernel has the information h = C⁻¹ m; the integral of exp(h z − ½ z L z) over z ~ N(μ, T) is
-    exp(½ h B h + h (1 − B L) μ − ½ μ (L − L B L) μ) / √det(1 + T L).
+    A component N(m, C), divided by its prior, is that of a measurement L⁻¹ C⁻¹ m with the precision
+    L = C⁻¹ − 1/w². Integrated over z ~ N(μ, T), T = diag τ², this is N(L⁻¹ C⁻¹ m; μ, T + L⁻¹).
     """
-    precision, inverse = _precision(covariance, width), np.linalg.inv(covariance)
-    information = kernels @ inverse
-    a, b = np.triu_indices(len(covariance))
-    products = information[:, a] * information[:, b] * np.where(a == b, 0.5, 1.0)
-    constant = -0.5 * (information * kernels).sum(axis=1)
+    inverse = np.linalg.inv(mixture.covariances)
+    information = np.einsum("kij,kj->ki", inverse, mixture.means)
+    precision = np.stack([_precision(c, width) for c in mixture.covariances])
+    free = precision.shape[1]
+    error = np.linalg.inv(precision + _LEAST * np.eye(free))
+    measured = np.einsum("kij,kj->ki", error, information)
+    constant = np.log(mixture.shares) - 0.5 * (information * mixture.means).sum(axis=1)
+    constant += 0.5 * (information * measured).sum(axis=1)
+    constant += 0.5 * (np.linalg.slogdet(inverse)[1] + np.linalg.slogdet(error)[1])
 
     def likelihood(mean, spread):
-        taken, between, volume = _shared(spread, precision)
-        moved = mean - np.einsum("rij,rj->ri", taken, mean)
-        rest = -0.5 * (np.einsum("ri,ij,rj->r", mean, precision, moved) + volume)
-        each = products @ between[:, a, b].T + information @ moved.T + constant[:, None]
-        top = each.max(axis=0)
-        weights = np.exp(each - top)
-        total = weights.sum(axis=0)
-        return rest + top + np.log(total), total**2 / (weights**2).sum(axis=0)
+        # By the Cholesky factor of T + L⁻¹, whose entries are (components, draws).
+        log = np.repeat(constant[:, None], len(mean), axis=1)
+        factor, white = {}, []
+        for j in range(free):
+            square = error[:, j, j, None] + spread[:, j] ** 2
+            root = np.sqrt(square - sum(factor[j, k] ** 2 for k in range(j)))
+            off = measured[:, j, None] - mean[:, j]
+            white.append((off - sum(factor[j, k] * white[k] for k in range(j))) / root)
+            log -= np.log(root) + 0.5 * white[j] ** 2
+            for i in range(j + 1, free):
+                inner = sum(factor[i, k] * factor[j, k] for k in range(j))
+                factor[i, j] = (error[:, i, j, None] - inner) / root
+        top = log.max(axis=0)
+        return top + np.log(np.exp(log - top).sum(axis=0))
 
     return likelihood

@@ -11,6 +11,7 @@ from stand_ins import FREE
 from irisjax import io
 from irisjax.cli import batch, report
 from irisjax.infer.fit import Fit, FitStatus
+from irisjax.infer.importance import Start
 
 
 @pytest.fixture
@@ -156,7 +157,8 @@ def test_posteriors_of_a_batch(irisjax, eye, searched, monkeypatch, tmp_path):
 
     monkeypatch.setattr(report, "one", one)
     monkeypatch.setattr(batch, "likelihood_draws", draws)
-    monkeypatch.setattr(batch, "fit", lambda problem, *, key: None)
+    monkeypatch.setattr(batch, "tails", lambda problem, z, names: None)
+    monkeypatch.setattr(batch, "fit", lambda problem, *, key: Start(np.zeros(2), np.eye(2)))
     eyes, out = tmp_path / "eyes", tmp_path / "out"
     eyes.mkdir()
     for name in ("a", "b"):

@@ -3,10 +3,11 @@
 import jax
 import numpy as np
 import pytest
-from scipy.stats import truncnorm
+from scipy.stats import kstest, norm, truncnorm
 
+import irisjax as ij
 from irisjax.infer.importance import Start
-from irisjax.infer.populations import KERNELS, WIDTH, likelihood_draws, population
+from irisjax.infer.populations import KERNELS, WIDTH, likelihood_draws, population, tails
 from irisjax.infer.repeatability import agreement, intraclass_correlation
 
 KEY = jax.random.key(1, impl="threefry2x32")
@@ -77,8 +78,8 @@ def test_draws_of_normal_posteriors_say_what_the_fits_say_and_others_more():
 
 
 def test_draws_reach_beyond_the_prior_of_the_fits():
-    """Normal likelihoods, known to 0.5, about 2.5: under a prior of sd 2 their posterior has the
-    precision 4 + 1/4, and the group's mean is found as from the fits.
+    """Normal likelihoods, known to 0.5, about 2.5: under a prior of sd 3 their posterior has the
+    precision 4 + 1/9, and the group's mean is found as from the fits.
     """
     random = np.random.default_rng(5)
     data = 2.5 + np.hypot(0.5, 0.3) * random.standard_normal(12)
@@ -96,15 +97,79 @@ def test_draws_reach_beyond_the_prior_of_the_fits():
     for i, value in enumerate(data):
         start = Start(np.array([0, 0.8 * value]), np.diag([1.0, 0.2]))
         key = jax.random.fold_in(KEY, i)
-        drawn.append(likelihood_draws(Eye(value), start, ["load"], key=key))
+        drawn.append(likelihood_draws(Eye(value), [start], ["load"], key=key))
     drawn = np.array(drawn)
     assert drawn.shape == (12, KERNELS, 1)
-    np.testing.assert_allclose(drawn.mean(1)[:, 0], data * 4 / 4.25, atol=0.15)
-    assert drawn.std(1).mean() == pytest.approx(4.25**-0.5, rel=0.05)
+    np.testing.assert_allclose(drawn.mean(1)[:, 0], data * 36 / 37, atol=0.1)
+    assert drawn.std(1).mean() == pytest.approx((37 / 9) ** -0.5, rel=0.05)
     z = 0.8 * data[:, None]
     fits, found = (population(z, covariance, *d, key=KEY) for d in ((), (drawn, WIDTH)))
     assert found.mean.mean() == pytest.approx(fits.mean.mean(), abs=0.05)
     assert found.mean.std() == pytest.approx(fits.mean.std(), rel=0.25)
+
+
+def test_likelihoods_without_an_end_have_their_tails():
+    """Half of the eyes say z < a alone. The integral of Φ((a − z)/s) over z ~ N(μ, τ²) is
+    Φ((a − μ)/√(s² + τ²)), so that the posterior of μ and τ is known on a grid.
+    """
+    random, s = np.random.default_rng(8), 0.4
+    measured = -1.5 + np.hypot(1.5, s) * random.standard_normal(6)
+    limits = np.array([-2.5, -2, -1.5, -1, 0, 0.5])
+
+    class Eye:
+        names = ("load",)
+
+        def __init__(self, log_likelihood):
+            self.log_likelihood = log_likelihood
+
+        def log_density(self, z):
+            return self.log_likelihood(z[:, 0]) - 0.5 * (z**2).sum(axis=1)
+
+    eyes = [(lambda z, v=v: norm.logpdf(v, z, s), v) for v in measured]
+    eyes += [(lambda z, a=a: norm.logcdf((a - z) / s), a - 0.5) for a in limits]
+    drawn = []
+    for i, (log_likelihood, at) in enumerate(eyes):
+        starts = [Start(np.array([x]), np.array([[v]])) for x, v in ((at, 0.2), (-4.5, 9.0))]
+        key = jax.random.fold_in(KEY, i)
+        drawn.append(likelihood_draws(Eye(log_likelihood), starts, ["load"], key=key))
+    z = np.array([[at] for _, at in eyes])
+    found = population(z, np.full((12, 1, 1), 0.2), np.array(drawn), WIDTH, key=KEY)
+    mean, spread = np.meshgrid(np.linspace(-5, 3, 161), np.linspace(0.02, 4, 200), indexing="ij")
+    whole = np.hypot(spread, s)
+    log = sum(norm.logpdf(v, mean, whole) for v in measured)
+    log = log + sum(norm.logcdf((a - mean) / whole) for a in limits) - 0.5 * (mean**2 + spread**2)
+    weights = np.exp(log - log.max()) / np.exp(log - log.max()).sum()
+    for name, grid in (("mean", mean), ("spread", spread)):
+        exact = (weights * grid).sum()
+        sd = np.sqrt((weights * (grid - exact) ** 2).sum())
+        draws = getattr(found, name)
+        assert draws.mean() == pytest.approx(exact, abs=0.15 * sd)
+        assert draws.std() == pytest.approx(sd, rel=0.1)
+    # Draws about the fits alone miss what lies below.
+    assert min(np.quantile(d, 0.02) for d in drawn[6:]) < -4
+
+
+@pytest.mark.peer
+def test_tails_of_an_eye_of_the_model():
+    """The ABL fraction of an eye with all melanin in the stroma has no lower end in z."""
+    x = np.arange(400.0, 701.0, 10.0)
+    iris = ij.Iris().replace(melanin_load=0.3, abl_fraction=0.0)
+    clean = np.asarray(ij.reflectance(iris, x).values)
+    sd = 0.02 * clean + 2e-4
+    values = clean + sd * np.random.default_rng(0).standard_normal(x.size)
+    problem = ij.problem(ij.spectrum(x, values, sd=sd, name="eye"))
+    names = ("melanin_load", "abl_fraction", "hemoglobin")
+    z = np.asarray(ij.fit(problem, key=KEY).z)
+    starts, place = tails(problem, z, names), problem.free.index("abl_fraction")
+    drawn = {}
+    for tag, some in (("fit", starts[:1]), ("tails", starts)):
+        drawn[tag] = likelihood_draws(problem, some, names, key=KEY)[:, 1]
+    assert min(start.z[place] for start in starts) < -4
+    # Below z = -3 (a fraction of 0.001) the likelihood is flat: the normal prior is left.
+    below = drawn["tails"][drawn["tails"] < -3]
+    assert len(below) > 0.2 * KERNELS
+    expected = truncnorm(-np.inf, -3 / WIDTH, scale=WIDTH)
+    assert kstest(below[::4], expected.cdf).pvalue > 0.001
 
 
 def test_intraclass_correlations_are_those_of_shrout_and_fleiss():

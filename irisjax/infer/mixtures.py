@@ -1,0 +1,137 @@
+"""Mixtures of normal distributions, and importance sampling by a mixture that adapts."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from scipy.special import gammaln, logsumexp
+
+from irisjax.infer.importance import DRAWS, EFFECTIVE, resampled, tempered
+from irisjax.infer.moves import DEGREES
+
+_ROUNDS = 12
+_REFINED = 2  # steps of expectation maximisation between two rounds
+_LEAST = 1e-6  # variance that is added to every component
+
+
+class Mixture(NamedTuple):
+    """Normal distributions with their shares, in coordinates in which priors are of order one.
+
+    Attributes:
+        shares: They add up to one.
+        means: Of the components.
+        covariances: Of the components.
+    """
+
+    shares: Float[np.ndarray, " components"]
+    means: Float[np.ndarray, "components free"]
+    covariances: Float[np.ndarray, "components free free"]
+
+    @classmethod
+    def of_draws(
+        cls,
+        draws: Float[np.ndarray, "draws free"],
+        components: int,
+        random: np.random.RandomState,
+        steps: int = 20,
+    ) -> "Mixture":
+        """Fit a mixture to draws of equal weight."""
+        count, free = draws.shape
+        whole = np.cov(draws.T).reshape(1, free, free) + _LEAST * np.eye(free)
+        first = cls(
+            np.full(components, 1 / components),
+            draws[random.choice(count, components, replace=False)],
+            np.repeat(whole / components ** (2 / free), components, axis=0),
+        )
+        return first.refined(draws, np.full(count, 1 / count), steps)
+
+    def refined(
+        self,
+        samples: Float[np.ndarray, "n free"],
+        weights: Float[np.ndarray, " n"],
+        steps: int,
+    ) -> "Mixture":
+        """Fit it to weighted samples by expectation maximisation from here; components that too few
+        effective samples support are left out  [Cappé et al. 2008].
+        """
+        shares, means, covariances = self
+        free = samples.shape[1]
+        for _ in range(steps):
+            root, distance = _whitened(samples, means, covariances)
+            log = np.log(shares / root)[:, None] - 0.5 * distance
+            part = weights * np.exp(log - logsumexp(log, axis=0))
+            shares = part.sum(axis=1)
+            kept = shares**2 > 2 * free * (part**2).sum(axis=1)
+            kept[np.argmax(shares)] = True
+            part, shares = part[kept], shares[kept]
+            means = part @ samples / shares[:, None]
+            off = samples - means[:, None]
+            spread = np.matmul(np.swapaxes(off * part[:, :, None], 1, 2), off)
+            covariances = spread / shares[:, None, None] + _LEAST * np.eye(free)
+            shares = shares / shares.sum()
+        return Mixture(shares, means, covariances)
+
+    def draw(self, count: int, random: np.random.RandomState) -> Float[np.ndarray, "count free"]:
+        """Draw places, each component as wide as Student's t of `DEGREES`."""
+        of = random.choice(len(self.shares), count, p=self.shares)
+        normal = random.standard_normal((count, self.means.shape[1]))
+        scale = np.sqrt(random.chisquare(DEGREES, count) / DEGREES)
+        root = np.linalg.cholesky(self.covariances)[of]
+        return self.means[of] + np.einsum("nij,nj->ni", root, normal / scale[:, None])
+
+    def log_density(self, z: Float[np.ndarray, "n free"]) -> Float[np.ndarray, " n"]:
+        """Compute the log density of `draw`."""
+        free = z.shape[1]
+        root, distance = _whitened(z, self.means, self.covariances)
+        half = 0.5 * (DEGREES + free)
+        constant = gammaln(half) - gammaln(DEGREES / 2) - 0.5 * free * math.log(DEGREES * math.pi)
+        each = np.log(self.shares / root)[:, None] - half * np.log1p(distance / DEGREES)
+        return constant + logsumexp(each, axis=0)
+
+
+def _whitened(x, means, covariances) -> tuple[np.ndarray, np.ndarray]:
+    """Square roots of the determinants, and squared Mahalanobis distances (components, n)."""
+    root = np.linalg.cholesky(covariances)
+    off = np.linalg.solve(root, np.swapaxes(x - means[:, None], 1, 2))
+    return np.diagonal(root, axis1=1, axis2=2).prod(axis=1), (off**2).sum(axis=1)
+
+
+def mixture_sample(
+    log_density: Callable[[np.ndarray], np.ndarray],
+    first: Mixture,
+    random: np.random.RandomState,
+) -> tuple[Float[np.ndarray, "draws free"], float]:
+    """Sample a density by draws of a mixture that is fitted to them, round after round.
+
+    All draws so far count, each as a draw of the mixture of all proposals so far
+    [Cornuet et al. 2012, Cappé et al. 2008].
+
+    Args:
+        log_density: Function of z (n, free) that returns (n,).
+        first: The first proposal; it should have a component wherever the density may be large.
+        random: Source of all draws.
+
+    Returns:
+        `DRAWS` samples of equal weights, and the number of effective draws.
+    """
+    proposals = [first]
+    z, values, proposed = np.empty((0, first.means.shape[1])), np.empty(0), np.empty(0)
+    while True:
+        new = proposals[-1].draw(DRAWS, random)
+        if len(z):
+            proposed = np.logaddexp(proposed, proposals[-1].log_density(z))
+        every = np.logaddexp.reduce([p.log_density(new) for p in proposals])
+        z, proposed = np.concatenate([z, new]), np.concatenate([proposed, every])
+        values = np.concatenate([values, log_density(new)])
+        log_weight = values - proposed
+        log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
+        weights = np.exp(log_weight - log_weight.max())
+        effective = float(weights.sum() ** 2 / (weights**2).sum())
+        if effective >= EFFECTIVE or len(proposals) == _ROUNDS:
+            return z[resampled(log_weight, 1.0, random)], effective
+        weights = weights ** tempered(log_weight)
+        weights /= weights.sum()
+        kept = weights > 1e-3 / len(weights)
+        proposals.append(proposals[-1].refined(z[kept], weights[kept], _REFINED))
