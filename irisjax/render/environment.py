@@ -84,16 +84,19 @@ class Environment(eqx.Module):
         """
         d = _directions(rows, 2 * rows)
         right, up, shown = _plane(d, (-0.5, 0.62, -1.0))
-        soft = np.pi / rows
-        panes = shown * _within(right, 0.27, soft) * _within(up, 0.3, soft)
-        bars = np.maximum(_within(right, 0.014, soft), _within(up - 0.06, 0.014, soft))
-        ripple = (
-            0.03 * np.sin(23 * right) + 0.016 * np.sin(61 * right + 1) + 0.008 * np.sin(140 * up)
+        soft = 2 * np.pi / rows  # as a camera that is focused on the iris sees it
+        panes = shown * _within(right, 0.17, soft) * _within(up, 0.2, soft)
+        bars = np.maximum(_within(right, 0.012, soft), _within(up - 0.05, 0.012, soft))
+        # Waves from branches to leaves, none a multiple of another.
+        leaves = sum(
+            np.sin(k * (np.cos(turn) * right + np.sin(turn) * up) + turn) / k**0.7
+            for k, turn in ((17, 0.4), (31, 2.0), (57, 1.1), (97, 2.7), (171, 0.1), (293, 1.7))
         )
-        trees = np.clip(0.5 + (-0.14 + ripple - up) / (2 * soft), 0, 1)[..., None]
-        cloud = 1 + 0.25 * np.sin(9 * right + 4 * up) * np.sin(13 * up)
-        sky = 21.0 * (cloud * (1 - 0.5 * up))[..., None] * np.array([0.93, 1.0, 1.1])
-        outside = (1 - trees) * sky + trees * np.array([1.3, 1.5, 0.8])
+        trees = np.clip(0.5 + (0.35 * leaves - 0.11 - up) / 0.08, 0, 1)[..., None]
+        cloud = 1 + 0.3 * np.sin(9 * right + 4 * up) * np.sin(13 * up)
+        sky = 42.0 * (cloud * (1 - up))[..., None] * np.array([0.95, 1.0, 1.06])
+        green = (4 + 9 * leaves**2)[..., None] * np.array([0.9, 1.1, 0.55])
+        outside = (1 - trees) * sky + trees * green
         room = (0.03 + 0.015 * d[..., 1:2]) * np.array([1.05, 1.0, 0.92])
         seen = (panes * (1 - bars))[..., None]
         return cls((1 - seen) * room + seen * outside)
