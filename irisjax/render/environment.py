@@ -88,10 +88,9 @@ class Environment(eqx.Module):
         panes = shown * _within(right, 0.17, soft) * _within(up, 0.2, soft)
         bars = np.maximum(_within(right, 0.012, soft), _within(up - 0.05, 0.012, soft))
         # Waves from branches to leaves, none a multiple of another.
-        leaves = sum(
-            np.sin(k * (np.cos(turn) * right + np.sin(turn) * up) + turn) / k**0.7
-            for k, turn in ((17, 0.4), (31, 2.0), (57, 1.1), (97, 2.7), (171, 0.1), (293, 1.7))
-        )
+        leaves = np.zeros_like(up)
+        for k, turn in (17, 0.4), (31, 2.0), (57, 1.1), (97, 2.7), (171, 0.1), (293, 1.7):
+            leaves += np.sin(k * (np.cos(turn) * right + np.sin(turn) * up) + turn) / k**0.7
         trees = np.clip(0.5 + (0.35 * leaves - 0.11 - up) / 0.08, 0, 1)[..., None]
         cloud = 1 + 0.3 * np.sin(9 * right + 4 * up) * np.sin(13 * up)
         sky = 42.0 * (cloud * (1 - up))[..., None] * np.array([0.95, 1.0, 1.06])
