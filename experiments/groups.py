@@ -40,6 +40,7 @@ def main(key, quick: bool = False, out: Path = common.RESULTS) -> None:
     rows = [
         row
         for kind in KINDS
+        # Odd numbers alone: pairs are independent, and the committed table is of these.
         for row in table(kind, [judged(key, kind, pair) for pair in range(1, 2 * pairs, 2)])
     ]
     header = (f"simulated; {pairs} pairs of groups of {EYES} eyes; ILIT, 31 wavelengths",)

@@ -1,5 +1,5 @@
-"""Where the light of an iris goes in a picture: the iris over the white, by irisjax and by rays
-that are traced here, through conicoids and Fresnel's equations of this file's own.
+"""Compare the radiance of the iris with that of the white in a picture, as irisjax draws it and by
+rays traced through conicoids and Fresnel's equations of this file's own.
 
 A matt iris in aqueous humour sends back, in the direction of a camera, its reflectance times the
 mean of what the directions above it show; those that the cornea reflects back inside, or that meet
@@ -93,7 +93,7 @@ def pictured(light, iris, side):
     lit = illuminate(view, texels, scene)
     whole, white = shade(view, texels, lit, respond(scene)), np.asarray(lit.surroundings)
     own = np.asarray(whole).reshape(-1, 3).T - white
-    # In the aqueous humour itself and without a lamp's angles the reflectance is that of a sheet.
+    # Without a cornea, lit and seen along the axis, a pixel shows the reflectance of the tissue.
     bare = dataclasses.replace(scene, eye=EYE.replace(cornea=None, sclera=None))
     bare = bare.replace(lights=Lights.distant(0.0, 0.0), environment=None)
     seen = look(bare.eye, camera)

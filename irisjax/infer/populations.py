@@ -98,7 +98,7 @@ def population(
     own = np.mean([np.diag(_kept_share(typical, p)) for p in precision], axis=0)
     fewest = 1.0
     if draws is not None:
-        # With a quarter of the eye's own variance, as a mixture resolves no narrower group.
+        # A mixture resolves no group narrower than half of the eye's own standard deviation.
         near = np.sqrt(typical**2 + 0.25 * draws.var(axis=1, keepdims=True))
         log = norm.logpdf(draws, middle, near) - norm.logpdf(draws, 0, width)
         log = log.sum(axis=2)
@@ -244,7 +244,7 @@ def _likelihood(mixture: Mixture, width: float) -> Callable[[np.ndarray, np.ndar
     constant += 0.5 * (np.linalg.slogdet(inverse)[1] + np.linalg.slogdet(error)[1])
 
     def likelihood(mean, spread):
-        # By the Cholesky factor of T + L⁻¹, whose entries are (components, draws).
+        # `factor` is the Cholesky factor of T + L⁻¹; each entry has the shape (components, draws).
         log = np.repeat(constant[:, None], len(mean), axis=1)
         factor, white = {}, []
         for j in range(free):

@@ -34,7 +34,7 @@ _FEWEST = 5  # wavelengths in a line that names columns by them
 LABEL = re.compile(
     r"name|sample|title|label|\bid\b|eye|subject|patient|probe|auge|muestra|échantillon", re.I
 )
-"""What headers call the name of a sample."""
+"""Matches titles of columns that name samples."""
 _UNIT_OF_CELL = re.compile(r"(?<=[\d.,])\s*(%|nm)$")  # some programs write it beside each number
 # Preambles that state the units of two unnamed columns, as JASCO and spectral libraries do.
 _UNITS = re.compile(

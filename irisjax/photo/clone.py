@@ -74,8 +74,8 @@ STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "texels", "pos
 MEDIA = ("cornea-aqueous", "f09", "f09-melanin", "flat")
 METHODS = ("least-squares", "simplex")
 _SOLVER_ANGLES = 12  # of ILIT during the search: radiances within 5e-5 of those of a picture
-# Of radiative transfer during the search: its table errs by up to 1 % of the brightest texel where
-# windows err by 4 % and more; a density costs a quarter of what it does with those of a picture.
+# Degrees of the table that a search by radiative transfer uses. It errs by up to 1 % of the
+# brightest texel, while windows err by 4 % and more, and costs a quarter of a picture's table.
 SEARCHED: Mapping[str, Any] = {"degrees": (6, 3, 4, 4), "angular": (2, 2, 1)}
 FIBRILS = 57.0  # radius during the search, nm; the strength of their scattering is a free factor
 _BLUR_WIDTHS = Range(0.05, 2.0, "mm")  # widths of the deconvolution that are compared

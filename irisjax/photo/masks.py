@@ -426,7 +426,7 @@ class _Reduced:
 
 
 def _grown(mask: np.ndarray, radius: int) -> np.ndarray:
-    # Of an empty mask scikit-image returns pixels that are set.
+    # scikit-image dilates an empty mask to one with pixels set.
     return np.asarray(morphology.isotropic_dilation(mask, radius)) if mask.any() else mask
 
 

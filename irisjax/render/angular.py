@@ -194,7 +194,7 @@ def light_of(
 
 @eqx.filter_jit
 def some_of(pixels: Any) -> Any:
-    """As many pixels as mixtures are chosen by, from all over the picture."""
+    """Return the `_CHOSEN_BY` pixels, spread over the picture, by which mixtures are chosen."""
     count = jax.tree.leaves(pixels)[0].shape[-1]
     places = np.linspace(0, count - 1, _CHOSEN_BY).astype(int)
     return jax.tree.map(lambda leaf: leaf[..., places], pixels)

@@ -257,8 +257,8 @@ def _solid_angles(rows: int, columns: int) -> np.ndarray:
 
 
 def _plane(direction: np.ndarray, centre) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where directions meet a plane that faces the eye: tangents to the right (+x) and up from its
-    middle, and whether they meet it at all.
+    """Return where directions meet a plane that faces the eye: tangents to the right (+x) and up
+    from its middle, and whether they meet it at all.
     """
     forward = np.asarray(centre) / np.linalg.norm(centre)
     right = np.cross((0.0, 1.0, 0.0), -forward)

@@ -80,8 +80,7 @@ def bulk_reflectance(sclera: Sclera, wavelengths: ArrayLike) -> Spectrum:
 
 def veil(wavelengths: ArrayLike, thickness: float) -> Spectrum:
     """Share of light that `thickness` mm of clear tissue above a vessel sends back, wavelengths in
-    nm. It makes vessels fainter, and bluer with
-    depth.
+    nm. It makes vessels fainter, and bluer with depth.
     """
     scattering = fibrous_scattering(wavelengths)
     nothing = jnp.zeros_like(scattering)

@@ -143,7 +143,7 @@ os.execv(sys.argv[1], sys.argv[1:])
 """
 
 
-# Of a job in the background a shell has SIGINT ignored, and its children's too.
+# A shell lets jobs in the background, and their children, ignore SIGINT.
 _HEARS_CTRL_C = """
 import os, signal, sys
 signal.signal(signal.SIGINT, signal.SIG_DFL)

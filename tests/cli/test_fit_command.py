@@ -47,7 +47,7 @@ def test_one_eye_from_file_to_files(fitted):
     file = fitted.folder / "posterior.nc"
     with xr.open_dataset(file, group="posterior", engine="h5netcdf") as found:
         assert {"melanin_load", "hemoglobin"} <= set(found)
-        # By its name, which is the same whichever process of the machine wrote the file.
+        # The model's name is the same whichever worker wrote the file.
         assert found.attrs["process"] == "ilit-2006"
     for name in ("fit.png", "corner.png"):
         assert (fitted.folder / name).read_bytes().startswith(b"\x89PNG")
@@ -287,7 +287,8 @@ def test_one_eye_by_the_model_itself(irisjax, spectrum, tmp_path):
     folder = tmp_path / "out"
     arguments = ("fit", spectrum, "-o", folder, *FREE)
     status, out, err = irisjax(*arguments)
-    assert (status, err) == (0, "")
+    read_by = "irisjax: read by ilit-2006, by which irisjax simulated the file\n"
+    assert (status, err) == (0, read_by)
     assert "load" in out.splitlines()[-1] or "known" in out
     assert {p.name for p in folder.iterdir()} == FILES
     rows = summary(folder)

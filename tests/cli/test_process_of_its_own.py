@@ -101,7 +101,7 @@ def test_ctrl_c_in_a_long_run(tmp_path, counted):
 
 def interrupted(folder, code, *arguments) -> float:
     """Interrupt Python code once it has printed "block"; the seconds until it was gone."""
-    # Of a job in the background a shell has SIGINT ignored, and its children's too.
+    # A shell lets jobs in the background, and their children, ignore SIGINT.
     hears = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)\n"
     with subprocess.Popen(
         [sys.executable, "-c", hears + code, *arguments],

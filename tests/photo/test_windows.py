@@ -179,7 +179,9 @@ def test_features_of_an_average_iris_have_no_place():
 
 @pytest.mark.peer
 def test_the_table_of_a_search_by_radiative_transfer_errs_less_than_windows_do():
-    """By half of the least error that a window is assumed to have, at most, for irides of the prior."""
+    """The table errs by at most half of the least error that a window is assumed to have, for irides
+    of the prior.
+    """
     maps = average_maps(Eye())
     base = Iris(fibril_radius=jnp.asarray(FIBRILS), stroma_thickness=jnp.mean(maps.stroma_depth))
     ranges, bands = ranges_of(base, maps.replace(freckles=None)), colour_bands(cornea=Eye().cornea)
