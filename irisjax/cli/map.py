@@ -18,6 +18,7 @@ from irisjax.cli.files import check_folder
 from irisjax.cli.fit_options import EPILOG as EPILOG
 from irisjax.cli.fit_options import PixelModel, SpectralMeasurement, flows_folder
 from irisjax.cli.flows import flow_for
+from irisjax.cli.kept import KeptPieces
 from irisjax.cli.report import print_table
 from irisjax.cli.scenes import outline_of
 from irisjax.infer import pixels as fitting
@@ -29,7 +30,7 @@ from irisjax.io.cubes import Reflectances, Rows, read_cube, read_map, read_refer
 from irisjax.io.maps import encode_maps
 from irisjax.io.measured import within_range
 from irisjax.io.sections import plain, toml_of
-from irisjax.io.tables import new_folder, replacing
+from irisjax.io.tables import replacing
 from irisjax.measure.passbands import Passbands
 from irisjax.numerics.checks import Range
 from irisjax.numerics.chunks import cores
@@ -38,6 +39,7 @@ from irisjax.plot import flags_figure, maps_figure, picture
 from irisjax.tissue.maps import cell_centres
 from irisjax.transport.process import Ilit, option_of
 
+_PARTS = "maps.part"  # a folder
 _CHUNK = 1 << 14  # pixels that are read and fitted at a time
 _SAMPLE = 1024  # pixels of the coarse level, in which all others find their starts
 _SHOWN = 1024  # rows and columns of a picture, at most
@@ -110,6 +112,7 @@ class MapFiles(opt.Group, panel="Files"):
         "FOLDER",
         ...,
     )
+    resume: bool = opt.flag("continue a stopped run into the same FOLDER")
     overwrite: bool = opt.flag("replace the maps in FOLDER")
 
 
@@ -150,6 +153,8 @@ def map_command(
     """
     folder, outlines = files.output, _outlines(pixels)
     check_folder(folder, "maps.nc", "maps", files.overwrite)
+    ways = "--resume continues them, --overwrite starts again"
+    check_folder(folder, _PARTS, "unfinished maps", files.resume or files.overwrite, ways)
     source, problem = _stated(measured, pixels, model, outlines)
     with ThreadPoolExecutor(cores()) as pool:
         sample = _sample(source)
@@ -161,10 +166,15 @@ def map_command(
         flow = None
         if posterior.posterior:
             flow = flow_for(problem, posterior.flows or folder / "flows", posterior.seed, pool.map)
-        with new_folder(folder), replacing(folder / "maps.nc") as made:
-            how = _Fitting(problem, starts, flow, posterior.seed)
-            counts = _written(made, source, how, measured, workers)
-            _draw(made, folder, problem, outlines, posterior.posterior)
+    groups = measured, pixels, model, posterior
+    parts = KeptPieces(folder / _PARTS, repr([group.settings() for group in groups]), sample)
+    parts.begin(files.resume)
+    how = _Fitting(problem, starts, flow, posterior.seed)
+    _fit(parts, _Pieces(source, how, parts.done()), workers)
+    with replacing(folder / "maps.nc") as made:
+        counts = _written(made, source, how, measured, parts)
+        _draw(made, folder, problem, outlines, posterior.posterior)
+    parts.remove()
     rows, columns, _ = source.cube.shape
     said = [f"{n} {FLAGS[flag]}" for flag, n in counts.items() if n]
     print_table([], _medians(folder / "maps.nc", problem), [], title=f"{folder}: medians")
@@ -273,14 +283,52 @@ class _Fitting(NamedTuple):
     seed: int
 
 
+class _Pieces(Mapping[int, tuple[Any, ...]]):
+    """Arguments of `_fitted` for some rows, by the first of these; read when they are needed."""
+
+    def __init__(self, source: Reflectances, how: _Fitting, done: list[int]):
+        self.source, self._how = source, how
+        rows, columns, _ = source.cube.shape
+        self._rows, self._step = rows, max(1, _CHUNK // columns)
+        self._left = [n for n in range(0, rows, self._step) if n not in set(done)]
+
+    def rows_of(self, first: int) -> int:
+        """Number of rows of a piece."""
+        return min(self._step, self._rows - first)
+
+    def __getitem__(self, first: int) -> tuple[Any, ...]:
+        read = self.source.read(first, first + self.rows_of(first))
+        return *read, self._how
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._left)
+
+    def __len__(self) -> int:
+        return len(self._left)
+
+
+def _fit(parts: KeptPieces, pieces: _Pieces, workers: Workers) -> None:
+    """Fit all pixels that are left."""
+    rows, columns, _ = pieces.source.cube.shape
+    done = columns * sum(pieces.rows_of(first) for first in parts.done())
+    with tqdm(total=rows * columns, initial=done, unit="pixel", disable=None) as bar:
+        for first, result in each(_fitted, pieces, workers):
+            if isinstance(result, Lost):
+                where = f"{pieces.source.cube.path}, row {first} and those below"
+                raise ValueError(f"{where}: {result.why}")
+            flags, maps = result
+            parts.add(first, {"flag": flags, **maps})
+            bar.update(flags.size)
+
+
 def _written(
     path: Path,
     source: Reflectances,
     how: _Fitting,
     measured: CubeMeasurement,
-    workers: Workers,
+    parts: KeptPieces,
 ) -> dict[PixelFlag, int]:
-    """Fit all pixels into a file; how many have each flag."""
+    """Write the maps of all parts to a file; how many pixels have each flag."""
     (rows, columns, _), counts = source.cube.shape, dict.fromkeys(FLAGS, 0)
     problem, flow = how.problem, how.flow
     names = problem.fitted
@@ -316,14 +364,10 @@ def _written(
     if "simulated" in source.cube.header:
         attributes["simulated"] = source.cube.header["simulated"]
     along = {"parameter": names, "other": names}
-    with (
-        writing_maps(path, (rows, columns), variables, along, attributes) as write,
-        tqdm(total=rows * columns, unit="pixel", disable=None) as bar,
-    ):
-        for first, done in each(_fitted, _Pieces(source, how), workers):
-            if isinstance(done, Lost):
-                raise ValueError(f"{source.cube.path}, row {first} and those below: {done.why}")
-            flags, found = done
+    with writing_maps(path, (rows, columns), variables, along, attributes) as write:
+        for first in parts.done():
+            found = parts.read(first)
+            flags = found.pop("flag")
             good = flags & _UNFITTED == 0
             for name, (more, dtype, _) in variables.items():
                 shape = (*flags.shape, *(len(names) for _ in more))
@@ -333,27 +377,7 @@ def _written(
                 write(name, first, array)
             for flag in counts:
                 counts[flag] += int(((flags & flag) > 0).sum())
-            bar.update(flags.size)
     return counts
-
-
-class _Pieces(Mapping[int, tuple[Any, ...]]):
-    """Arguments of `_fitted` for some rows, by the first of these; read when they are needed."""
-
-    def __init__(self, source: Reflectances, how: _Fitting):
-        self._source, self._how = source, how
-        rows, columns, _ = source.cube.shape
-        self._rows, self._step = rows, max(1, _CHUNK // columns)
-
-    def __getitem__(self, first: int) -> tuple[Any, ...]:
-        read = self._source.read(first, min(first + self._step, self._rows))
-        return *read, self._how
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(range(0, self._rows, self._step))
-
-    def __len__(self) -> int:
-        return len(range(0, self._rows, self._step))
 
 
 def _fitted(

@@ -145,12 +145,46 @@ def test_a_mask_of_another_size(irisjax, few_starts, tmp_path):
     one_line(result, "mask.png: is 6 x 5 pixels, the cube 5 x 6")
 
 
-def test_nothing_half_written_is_left(irisjax, few_starts, tmp_path, monkeypatch):
+def test_a_stopped_run_is_continued(irisjax, few_starts, tmp_path, monkeypatch):
+    """It fits only what is left, and ends in the bytes of a run that was not stopped."""
+    path, folder = envi(tmp_path / "a.hdr", CUBE), tmp_path / "maps"
+    monkeypatch.setattr(command, "_CHUNK", 10)  # two rows of five pixels
+    fitted, fit = [], command._fitted
+
+    def stops(values, *rest):
+        if len(fitted) == 1:
+            raise KeyboardInterrupt
+        fitted.append(len(values))
+        return fit(values, *rest)
+
+    assert irisjax("map", path, *FREE, "-o", tmp_path / "whole")[0] == 0
+    monkeypatch.setattr(command, "_fitted", stops)
+    assert irisjax("map", path, *FREE, "-o", folder)[0] == 130
+    assert [f.name for f in folder.iterdir()] == ["maps.part"]
+    monkeypatch.setattr(command, "_fitted", fit)
+    again = ("map", path, *FREE, "-o", folder)
+    one_line(irisjax(*again), "has unfinished maps; --resume continues them, --overwrite starts")
+    other = irisjax(*again, "--resume", "--relative-noise", 0.03)
+    one_line(other, "maps.part: made from other data or settings; it cannot be resumed with these")
+
+    def rest(values, *more):
+        fitted.append(len(values))
+        return fit(values, *more)
+
+    monkeypatch.setattr(command, "_fitted", rest)
+    assert irisjax(*again, "--resume")[0] == 0
+    assert fitted == [2, 2, 2]
+    files = sorted(f.name for f in (tmp_path / "whole").iterdir())
+    assert sorted(f.name for f in folder.iterdir()) == files
+    assert (folder / "maps.nc").read_bytes() == (tmp_path / "whole/maps.nc").read_bytes()
+
+
+def test_nothing_is_left_of_a_run_that_did_nothing(irisjax, few_starts, tmp_path, monkeypatch):
     path = envi(tmp_path / "a.hdr", CUBE)
 
     def fails(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "_draw", fails)
+    monkeypatch.setattr(command, "_fitted", fails)
     assert irisjax("map", path, *FREE, "-o", tmp_path / "maps")[0] == 130
     assert not (tmp_path / "maps").exists()
