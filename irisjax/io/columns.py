@@ -152,6 +152,9 @@ def eyes_of(table: Columns) -> dict[str, list[int]]:
     for j, role in roles.items():
         if j in spectra or (role == SD and _owner(j, spectra, table) is None):
             found.setdefault(_title(table, j), []).append(j)
+    end = f" {table.samples}"
+    if table.samples is not None and all(name.endswith(end) for name in found):
+        found = {name.removesuffix(end): columns for name, columns in found.items()}
     return found
 
 
@@ -173,7 +176,7 @@ def _spectra(table: Columns, roles: dict[int, str], wanted: str | None) -> list[
         raise ValueError(f"{_listed(table, roles)}; need one spectrum, such as a reflectance")
     stated = [_owner(j, spectra, table) for j in roles if roles[j] == SD and len(spectra) > 1]
     own = len(set(stated) & set(spectra)) > 1  # each has its standard deviation
-    own |= table.samples and len({table.names[j] for j in spectra}) > 1
+    own |= table.samples is not None and len({table.names[j] for j in spectra}) > 1
     if len(spectra) > 1 and (own or not _one_thing(table, spectra)):
         raise ValueError(
             f"{_listed(table, roles)}: these are no scans of one spectrum, whose names would "

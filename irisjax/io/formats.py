@@ -181,7 +181,7 @@ def _long(titles: list[str], rows: list[tuple[int, list[str]]]) -> Columns | Non
             # A deviation belongs to the first values.
             value = f"{names[1]} " if j != used[1] and role_of(name) == SD else ""
             spectra.append((f"{of} {value}{name}".strip(), numbers[at][own], numbers[j][own]))
-    return _joined(names[0], spectra)._replace(samples=True)
+    return _joined(names[0], spectra)._replace(samples=names[1])
 
 
 def _tells(cell: str) -> bool:

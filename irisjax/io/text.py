@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+_FORTRAN = re.compile(r"([+-]?\d*\.\d*)[dD]([+-]?\d{1,3})")  # of double precision
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--", "---"}
 _DELETED = 1e30  # spectral libraries write a larger number where a value is missing
 # Separators (`None`: blanks), and whether a comma is the decimal sign.
@@ -59,7 +60,8 @@ class Columns(NamedTuple):
         where: Where each row stands, for messages.
         header: Lines `# key: value`.
         notes: What was left out.
-        samples: Whether columns of different names are of different samples, as the file says.
+        samples: Where columns of different names are of different samples, as the file says, the
+            end that it gives their names.
     """
 
     values: np.ndarray
@@ -67,7 +69,7 @@ class Columns(NamedTuple):
     where: list[str]
     header: dict[str, str]
     notes: tuple[str, ...] = ()
-    samples: bool = False
+    samples: str | None = None
 
 
 def decoded(data: bytes) -> str | None:
@@ -368,6 +370,8 @@ def number_of(cell: str, comma: bool) -> float | None:
         return np.nan
     if cell[-1] in "%m":
         cell = _UNIT_OF_CELL.sub("", cell)
+    if double := _FORTRAN.fullmatch(cell):
+        cell = "e".join(double.groups())
     try:
         value = float(cell.replace(",", ".") if comma else cell)
     except ValueError:

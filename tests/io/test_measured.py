@@ -444,6 +444,12 @@ ROLES = {
         True,
         "mean of 2 scans",
     ),
+    "exponents of Fortran": (
+        "nm R\n" + "\n".join(f"{x / 1000:.4f}D+03 {y:.6E}".replace("E", "D") for x, y in zip(GRID, R, strict=True)),
+        {},
+        False,
+        "",
+    ),
     "a row with a unit in each cell": (
         "Data Name,Time," + ",".join(f"SCE {x:.0f}[nm]" for x in GRID) + "\neye,10:11,"
         + ",".join(f"{100 * y:.6g}%" for y in R),
@@ -621,8 +627,8 @@ def test_eyes_with_their_standard_deviations(tmp_path):
         for x, y in zip(GRID, R, strict=True)
     ]
     found = io.read_eyes(written(tmp_path, "eye scan wavelength R\n" + "\n".join(lines)))
-    assert list(found) == ["leaf1 R", "leaf2 R"]
-    np.testing.assert_allclose(found["leaf1 R"].values, R, rtol=1e-4)
+    assert list(found) == ["leaf1", "leaf2"]
+    np.testing.assert_allclose(found["leaf1"].values, R, rtol=1e-4)
 
 
 BOTH = ",".join(f"{kind} {x:.0f}nm" for kind in ("SCI", "SCE") for x in X)
