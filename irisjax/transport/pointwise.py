@@ -10,8 +10,6 @@ import numpy as np
 from jax import Array
 
 from irisjax._types import PRNGKey
-from irisjax.optics.mixture import PhaseMixture
-from irisjax.tissue.indices import Order
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light
 from irisjax.transport.process import AbstractProcess
@@ -23,7 +21,7 @@ class Pointwise(AbstractSolver):
     """A solver whose derivatives by any number of parameters cost three, by the layers' depths, one
     more where the epithelium lets light through, and two where a phase function has parameters.
 
-    For inversions: derivatives by indices or incidence are refused, and so are BRDFs.
+    For inversions: derivatives by indices or incidence are refused, and so are polarised BRDFs.
     """
 
     solver: AbstractSolver
@@ -43,21 +41,14 @@ class Pointwise(AbstractSolver):
         if light.exits is not None and self.process.polarised:
             raise ValueError("Pointwise has no polarised BRDF; it needs the solver itself")
         how = self.solver, layers.indices, light, key
-        depths = layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering
-        if deep := layers.ipe_absorption is not None:
-            depths = (*depths, layers.ipe_absorption)
-        if layers.phase is not None:
-            depths = (*depths, layers.phase.rayleigh, layers.phase.anisotropy)
-        found, brdf = _by_wavelength(partial(_solution, layers.order, deep), how, depths)
+        depths = eqx.tree_at(lambda each: each.indices, layers, None)
+        found, brdf = _by_wavelength(_solution, how, depths)
         return found if brdf is None else dataclasses.replace(found, brdf=brdf.T)
 
 
-def _solution(order: Order, deep: bool, how, depths) -> tuple[Solution, Array | None]:
+def _solution(how, depths: Layers) -> tuple[Solution, Array | None]:
     solver, indices, light, key = how
-    abl, stroma, scattering, *more = depths
-    ipe = more.pop(0) if deep else None
-    phase = PhaseMixture(*more) if more else None
-    layers = Layers(abl, stroma, scattering, indices, order, phase, ipe)
+    layers = eqx.tree_at(lambda each: each.indices, depths, indices, is_leaf=lambda x: x is None)
     found = solver.solve(layers, light, key=key)
     if found.brdf is None:
         return found, None
@@ -66,9 +57,9 @@ def _solution(order: Order, deep: bool, how, depths) -> tuple[Solution, Array | 
 
 @eqx.filter_custom_jvp
 def _by_wavelength(run, how, depths):
-    """`run(how, depths)`, with derivatives from one forward pass for each of the `depths`.
+    """`run(how, depths)`, with derivatives from one forward pass for each array of `depths`.
 
-    The `depths` have shape (wavelengths,), and a value depends on those of its own wavelength only.
+    The arrays have shape (wavelengths,), and a value depends on those of its own wavelength only.
     The last axis of what `run` returns is that of wavelengths. Derivatives with respect to `how`
     are refused. Reverse mode works whatever loops there are inside.
     """
@@ -83,15 +74,17 @@ def _by_wavelength_jvp(primals, tangents):
         raise NotImplementedError(
             "derivatives by indices or incidence are not part of an inversion"
         )
+    each, structure = jax.tree.flatten(depths)
+    slopes = structure.flatten_up_to(slopes)
     active = [i for i, slope in enumerate(slopes) if slope is not None]
     # One program for all: compiling is what takes long here.
-    each = jnp.eye(len(depths), dtype=depths[0].dtype)[np.array(active)]
+    directions = jnp.eye(len(each), dtype=each[0].dtype)[np.array(active)]
 
     def along(direction):
-        ones = tuple(jnp.full_like(x, d) for x, d in zip(depths, direction, strict=True))
-        return eqx.filter_jvp(partial(run, how), (depths,), (ones,))
+        ones = (jnp.full_like(x, d) for x, d in zip(each, direction, strict=True))
+        return eqx.filter_jvp(partial(run, how), (depths,), (structure.unflatten(ones),))
 
-    values, derivatives = eqx.filter_vmap(along)(each)
+    values, derivatives = eqx.filter_vmap(along)(directions)
     # Alike along every direction; a status comes out of a batched loop as many times.
     values = jax.tree.map(lambda v: v[0], values)
 
