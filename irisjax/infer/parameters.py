@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
-
 from irisjax.infer.priors import AbstractPrior, LogitNormal, LogNormal, LogUniform, Uniform
 from irisjax.measure.instrument import GAIN
 from irisjax.numerics.checks import Range
+from irisjax.numerics.roots import share_of
 from irisjax.tissue.iris import BLOOD, LIMITS, MELANIN_LOAD, Iris
 from irisjax.tissue.scattering import POWER_LAW_LIMITS
 
@@ -99,8 +98,7 @@ def of_iris(iris: Iris) -> dict[str, Any]:
         raise ValueError("pheomelanin_abl_fraction: an inversion has one abl_fraction for both")
     melanin = iris.eumelanin + iris.pheomelanin
     # Without any melanin every share gives the same iris; LB06's is returned.
-    none = melanin <= 0
-    share = jnp.where(none, 0.2, iris.pheomelanin / jnp.where(none, 1.0, melanin))
+    share = share_of(iris.pheomelanin, melanin, 0.2)
     known = {name: getattr(iris, name) for name in ("melanin_load", *_OF_IRIS)}
     known |= {"pheomelanin_share": share, "gain": 1.0, "noise": 1.0}
     known |= {} if iris.power_law is None else iris.power_law.parameters()

@@ -13,6 +13,7 @@ from jax.core import Tracer
 from irisjax._types import Scalar
 from irisjax.anatomy.media import AQUEOUS
 from irisjax.numerics.checks import Range, check_fields, check_known, check_range, check_scalars
+from irisjax.numerics.roots import share_of
 from irisjax.tissue.indices import (
     COLLAGEN_FRACTION,
     FIBROBLAST_FRACTION,
@@ -238,8 +239,7 @@ class Iris(eqx.Module):
         load = _as_float("melanin_load", load)
         check_range("melanin_load", load, MELANIN_LOAD)
         total = iris.eumelanin + iris.pheomelanin
-        none = total <= 0
-        share = jnp.where(none, 0.0, iris.pheomelanin / jnp.where(none, 1.0, total))
+        share = share_of(iris.pheomelanin, total, 0.0)
         concentration = load / (iris.abl_thickness + iris.stroma_thickness)
         return iris.replace(
             eumelanin=concentration * (1 - share), pheomelanin=concentration * share
@@ -270,9 +270,8 @@ class Iris(eqx.Module):
             layers = [concentrations[f"{layer}_{kind}"] for layer in ("abl", "stroma")]
             mass = layers[0] * depths[0], layers[1] * depths[1]
             total = mass[0] + mass[1]
-            none = total <= 0
             fields[kind] = total / (self.abl_thickness + self.stroma_thickness)
-            fields[share] = jnp.where(none, 0.5, mass[0] / jnp.where(none, 1.0, total))
+            fields[share] = share_of(mass[0], total, 0.5)
         return self.replace(**fields)
 
     def layer_concentrations(self) -> dict[str, float]:
@@ -307,8 +306,7 @@ class Iris(eqx.Module):
     @property
     def saturation(self) -> Scalar:
         """Oxygen saturation; LB06's 0.5 where there is no blood."""
-        none = self.hemoglobin <= 0
-        return jnp.where(none, 0.5, self.oxyhemoglobin / jnp.where(none, 1.0, self.hemoglobin))
+        return share_of(self.oxyhemoglobin, self.hemoglobin, 0.5)
 
     @property
     def abl_melanin(self) -> Scalar:

@@ -5,10 +5,11 @@ import math
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool
 
 from irisjax._types import Numbers, Spectrum
 from irisjax.numerics.checks import Range, check_range
+from irisjax.numerics.roots import share_of
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.indices import Order, RefractiveIndices
 
@@ -95,11 +96,3 @@ class Layers(eqx.Module):
         for depth in jax.tree.leaves((depths, self.ipe_absorption)):
             ok = ok & (jnp.isfinite(depth) & (depth >= 0)).all()
         return ok if self.phase is None else ok & self.phase.valid()
-
-
-def share_of(
-    part: Float[Array, "*s"], whole: Float[Array, "*s"], of_nothing: float
-) -> Float[Array, "*s"]:
-    """Share of a depth in the `whole`; `of_nothing` where that is empty."""
-    empty = whole <= 0
-    return jnp.where(empty, of_nothing, part / jnp.where(empty, 1.0, whole))

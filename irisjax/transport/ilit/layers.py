@@ -15,6 +15,7 @@ from jaxtyping import Array, Bool, Float
 from irisjax._types import Spectrum
 from irisjax.numerics import linear
 from irisjax.numerics.quadrature import CosineRule, conserving, cosine_rule
+from irisjax.numerics.roots import share_of
 from irisjax.numerics.sharding import vary_alike
 from irisjax.optics.fresnel import critical_cosine_squared, fresnel, refracted
 from irisjax.tissue.indices import Order, RefractiveIndices
@@ -171,8 +172,7 @@ def with_epithelium(
         passed=entered * kept,
         absorbed=stroma.absorbed + back * upwards.absorbed,
     )
-    none = kept <= 0
-    return fates, jnp.where(none, 0.0, beyond.passed / jnp.where(none, 1.0, kept)), converged
+    return fates, share_of(beyond.passed, kept, 0.0), converged
 
 
 def _scattered(process: Ilit, rule: CosineRule, first, again, rest, layers: Layers):
@@ -220,11 +220,10 @@ def _scattered(process: Ilit, rule: CosineRule, first, again, rest, layers: Laye
     # Σ w again a = ω(1 − rest) − 2ω Σ w rest K(again a), for K neither adds nor takes energy.
     lost = coalbedo + layers.albedo * ((rest + 2 * rest * k.anisotropic(again * a)) @ w)
     events = (first + again * b) @ w
-    trapped = lost <= 0
-    total = jnp.where(trapped, 0.0, events / jnp.where(trapped, 1.0, lost))
+    total = share_of(events, lost, 0.0)
     # Light that can neither leave nor be absorbed is counted as absorbed, the limit of least
     # absorption.
-    return total[:, None] * a + b, jnp.where(trapped, events, coalbedo * total), jnp.asarray(True)
+    return total[:, None] * a + b, jnp.where(lost <= 0, events, coalbedo * total), jnp.asarray(True)
 
 
 def _sum_orders(operator, b):

@@ -18,9 +18,10 @@ from irisjax._types import PRNGKey, Real
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.precision import full_precision
+from irisjax.numerics.roots import share_of
 from irisjax.numerics.sharding import laid_out
 from irisjax.optics.mixture import PhaseMixture
-from irisjax.tissue.layers import Layers, share_of
+from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light
 from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer, survival
 from irisjax.transport.radiative import resolution

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from irisjax.numerics.quadrature import conserving, cosine_rule, quadratic_rule
-from irisjax.numerics.roots import safe_sqrt
+from irisjax.numerics.roots import safe_sqrt, share_of
 from irisjax.optics.fresnel import Shares, critical_cosine_squared, fresnel, refract, refracted
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light, beams_of
@@ -149,10 +149,9 @@ def over_epithelium(ipe: jax.Array | None, d: Any) -> Any:
         return d
     layer = _absorber(ipe, d.ipe_cosine, d.bottom, d.behind)
     entered = layer.passed + layer.absorbed
-    none = entered <= 0
     return d._replace(
         bottom=(d.bottom[0] + layer.reflected, entered),
-        through=jnp.where(none, 0.0, layer.passed / jnp.where(none, 1.0, entered)),
+        through=share_of(layer.passed, entered, 0.0),
     )
 
 
