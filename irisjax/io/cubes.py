@@ -13,17 +13,18 @@ from jaxtyping import Float
 
 from irisjax.infer.pixels import PixelFlag
 from irisjax.io.formats import read_spectral_table
-from irisjax.io.measured import WAVELENGTH_UNITS
 from irisjax.io.tables import naming
 
+# Units of wavelengths by their factor to nm.
 _UNITS = {
-    "nm": ("nm", "nanometer", "nanometers", "nanometre", "nanometres"),
-    "um": ("um", "µm", "μm", "micrometer", "micrometers", "micrometre", "micrometres", "micron",
+    1.0: ("nm", "nanometer", "nanometers", "nanometre", "nanometres"),
+    1e3: ("um", "µm", "μm", "micrometer", "micrometers", "micrometre", "micrometres", "micron",
            "microns"),
 }  # fmt: skip
 _BAND_AXES = ("wavelength", "wavelengths", "wl", "band", "bands", "lambda", "channel", "channels")
 _WIDTHS = ("fwhm", "bandwidth", "bandwidths")
 _SUFFIXES = ".hdr (ENVI), .nc (NetCDF), .zarr"
+_XARRAY = (".nc", ".nc4", ".cdf", ".h5", ".zarr")
 _BRIGHTEST = 2.0  # median of stored values above which they are no reflectances
 _Block = Float[np.ndarray, "rows columns bands"]
 Rows = Callable[[int, int], np.ndarray]
@@ -82,7 +83,7 @@ def read_cube(
             header = path.suffix.lower() == ".hdr"
         if header:
             return _sorted(_envi(path, wavelength_unit))
-        if path.suffix.lower() in (".nc", ".nc4", ".cdf", ".h5", ".zarr"):
+        if path.suffix.lower() in _XARRAY:
             return _sorted(_xarray(path, variable, wavelength_unit))
         raise ValueError(f"unknown kind of cube; known: {_SUFFIXES}")
 
@@ -96,7 +97,7 @@ def read_reference(path: str | Path, cube: Cube, **how: str | None) -> Rows:
     """
     path = Path(path)
     _, columns, bands = cube.shape
-    if path.suffix.lower() not in (".hdr", ".nc", ".nc4", ".cdf", ".h5", ".zarr"):
+    if path.suffix.lower() not in (".hdr", *_XARRAY):
         with naming(path):
             if cube.wavelengths is None:
                 raise ValueError("a table of a reference needs a cube with wavelengths")
@@ -270,10 +271,9 @@ def _envi(path: Path, unit: str | None) -> Cube:
         return values / factor
 
     if grid is not None:
-        grid = _in_nm(grid, unit or header.get("wavelength units"))
-        ratio = grid / np.asarray(header["wavelength"], float)
-        widths = None if widths is None or widths.shape != grid.shape else (widths * ratio)[use]
-        grid = grid[use]
+        to_nm = _to_nm(grid, unit or header.get("wavelength units"))
+        widths = None if widths is None or widths.shape != grid.shape else to_nm * widths[use]
+        grid = to_nm * grid[use]
     whole = stored.kind in "iu"
     ceiling = np.iinfo(stored).max / factor if whole else None
     texts = {k: v for k, v in header.items() if isinstance(v, str)}
@@ -312,8 +312,8 @@ def _xarray(path: Path, variable: str | None, unit: str | None) -> Cube:
     widths = next((np.asarray(v, float) for n, v in aside.items() if n in _WIDTHS), None)
     if grid is not None:
         stated = np.asarray(grid, float)
-        nm = _in_nm(stated, unit or grid.attrs.get("units"))
-        widths, grid = None if widths is None else widths * nm / stated, nm
+        to_nm = _to_nm(stated, unit or grid.attrs.get("units"))
+        widths, grid = None if widths is None else to_nm * widths, to_nm * stated
     stored = np.dtype(found.encoding.get("dtype", found.dtype))
     scale = found.encoding.get("scale_factor")
     whole = stored.kind in "iu"
@@ -353,13 +353,11 @@ def _check_count(grid: np.ndarray | None, shape: tuple[int, int, int], where: st
     raise ValueError(said + (hint if swapped else ""))
 
 
-def _in_nm(grid: np.ndarray, unit: object) -> np.ndarray:
-    """Wavelengths in nm; without a unit those below 100 are µm."""
+def _to_nm(grid: np.ndarray, unit: object) -> float:
+    """Factor from the unit of wavelengths to nm; without a unit those below 100 are µm."""
     text = str(unit or "").strip().lower()
-    known = next((name for name, words in _UNITS.items() if text in words), None)
-    if known is None:
-        known = "um" if np.median(grid) < 100 else "nm"
-    return WAVELENGTH_UNITS[known](grid)
+    known = next((factor for factor, words in _UNITS.items() if text in words), None)
+    return (1e3 if np.median(grid) < 100 else 1.0) if known is None else known
 
 
 def _by(shape: tuple[int, ...]) -> str:
