@@ -338,7 +338,7 @@ def _written(
     def declare(name: str, *axes: str, **said: str) -> None:
         variables[name] = axes, "f4", {**said, "_FillValue": np.float32(np.nan)}
 
-    for name in (*names, *(["abl_melanin"] if _has_abl(names) else [])):
+    for name in _mapped(problem):
         units = unit_of(name) or "1"
         declare(name, units=units, **priors.get(name, {}))
         declare(f"{name}_sd", units=units, long_name=f"standard deviation of {name}")
@@ -414,8 +414,10 @@ def _posteriors(
     return flags.astype(np.uint8), maps
 
 
-def _has_abl(names: list[str]) -> bool:
-    return {"melanin_load", "abl_fraction"} <= set(names)
+def _mapped(problem: ij.Problem) -> list[str]:
+    """Names of maps: fitted parameters, and the melanin of the ABL if it follows from these."""
+    names = problem.fitted
+    return [*names, *["abl_melanin"] * ({"melanin_load", "abl_fraction"} <= set(names))]
 
 
 def _maps(fits: PixelFits) -> dict[str, np.ndarray]:
@@ -432,9 +434,7 @@ def _draw(made: Path, folder: Path, problem: ij.Problem, outlines: Any, posterio
     """Write pictures of the maps, and the maps for the renderers."""
     flags = read_map(made, "flag")
     extent, step = flags.shape, max(1, -(-max(flags.shape) // _SHOWN))
-    names = problem.fitted
-    names = [*names, *(["abl_melanin"] if _has_abl(names) else [])]
-    shown = {n: (read_map(made, n, step), unit_of(n)) for n in names}
+    shown = {n: (read_map(made, n, step), unit_of(n)) for n in _mapped(problem)}
     misfit = {"reduced_chi_square": (read_map(made, "reduced_chi_square", step), "")}
     drawn = {"overview": maps_figure(shown | misfit, extent)}
     drawn["reduced_chi_square"] = maps_figure(misfit, extent)
@@ -499,12 +499,8 @@ def _for_renderers(
 
 def _medians(path: Path, problem: ij.Problem) -> dict[str, list[str]]:
     """Columns of a table: for each map its median, its range over pixels, and its deviation."""
-    names = problem.fitted
-    names = [*(["abl_melanin"] if _has_abl(names) else []), *names]
-    rows, columns = read_map(path, "flag").shape
-    step = max(1, max(rows, columns) // _SHOWN)
-    rows = []
-    for name in names:
+    step, rows = max(1, max(read_map(path, "flag").shape) // _SHOWN), []
+    for name in sorted(_mapped(problem), key=lambda n: n != "abl_melanin"):
         low, middle, high = np.nanpercentile(read_map(path, name, step), (16, 50, 84))
         sd = np.nanmedian(read_map(path, f"{name}_sd", step))
         numbers = f"{middle:.3g}", f"{low:.3g} to {high:.3g}", f"{sd:.2g}"

@@ -7,7 +7,7 @@ slab, whose coefficients are K = 2 μ_a and S = ¾ μ_s' [van Gemert & Star 1987
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 
-from irisjax._types import Scalar, Spectrum
+from irisjax._types import Scalar, Spectrum, as_float
 from irisjax.optics.kubelka_munk import layer_before
 
 _INSIDE = 0.493  # share of diffuse light that a surface of index 1.4 reflects back inside
@@ -52,17 +52,14 @@ def fibrous_scattering(wavelengths: ArrayLike) -> Spectrum:
     """Reduced scattering coefficient of fibrous tissue, the mean of those that Jacques lists
     [Jacques 2013, Phys. Med. Biol. 58, R37].
     """
-    x = jnp.asarray(wavelengths, jnp.result_type(float))
-    return 2.71 * (x / 500.0) ** -1.627
+    return 2.71 * (as_float(wavelengths) / 500.0) ** -1.627
 
 
 def bloodless_absorption(wavelengths: ArrayLike) -> Spectrum:
     """Absorption coefficient of skin without blood and melanin [Jacques 1998, omlc.org]."""
-    x = jnp.asarray(wavelengths, jnp.result_type(float))
-    return 0.0244 + 8.53 * jnp.exp(-(x - 154.0) / 66.2)
+    return 0.0244 + 8.53 * jnp.exp(-(as_float(wavelengths) - 154.0) / 66.2)
 
 
 def melanosome_absorption(wavelengths: ArrayLike) -> Spectrum:
     """Absorption coefficient within a melanosome of skin [Jacques 2013]."""
-    x = jnp.asarray(wavelengths, jnp.result_type(float))
-    return 51.9 * (x / 500.0) ** -3.0
+    return 51.9 * (as_float(wavelengths) / 500.0) ** -3.0
