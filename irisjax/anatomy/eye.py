@@ -8,17 +8,15 @@ import dataclasses
 from typing import Any
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 from jaxtyping import Float
 
 from irisjax._types import Numbers, Scalar, Spectrum, float_field, optional_field
 from irisjax.anatomy.lids import Lids
 from irisjax.anatomy.media import AQUEOUS, CORNEA, INDEX, Media
-from irisjax.numerics.checks import Range, check_fields
+from irisjax.numerics.checks import Range, check_fields, is_known
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Conicoid, Vector, parts
 
@@ -172,16 +170,16 @@ class Eye(eqx.Module):
         if self.lids is not None and (self.cornea is None or self.sclera is None):
             raise ValueError("lids need an eye with a cornea and a sclera")
         radii = self.pupil_radius, self.iris_radius
-        if _known(radii) and float(radii[0]) >= float(radii[1]):
+        if is_known(radii) and float(radii[0]) >= float(radii[1]):
             raise ValueError(
                 f"pupil_radius = {float(radii[0]):g} mm must be below "
                 f"iris_radius = {float(radii[1]):g} mm"
             )
-        if self.pupil_centre is not None and _known(self.pupil_centre, *radii):
+        if self.pupil_centre is not None and is_known(self.pupil_centre, *radii):
             self._check_centre(np.asarray(self.pupil_centre))
         slope = 0.0 if self.iris_slope is None else self.iris_slope
         ring = self.iris_radius, self.limbus_radius, slope
-        if self.cornea is not None and _known(self.cornea, ring, self.iris_depth):
+        if self.cornea is not None and is_known(self.cornea, ring, self.iris_depth):
             least = float(_least_depth(self.cornea, *ring))
             if not float(self.iris_depth) > least:
                 raise ValueError(
@@ -290,10 +288,6 @@ def rings_between(
     within = inner**2 - u * u - v * v
     s = (safe_sqrt(jnp.maximum(b * b - a * within, 0.0)) - b) / a
     return s, u + s * cx, v + s * cy
-
-
-def _known(*values) -> bool:
-    return not any(isinstance(x, Tracer) for x in jax.tree.leaves(values))
 
 
 @eqx.filter_jit

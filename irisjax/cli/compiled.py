@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
-from jax.core import Tracer
 from jax.experimental import serialize_executable
 
 from irisjax.io.tables import write_atomically
+from irisjax.numerics.checks import is_known
 
 if TYPE_CHECKING:
     from irisjax.anatomy.eye import Eye
@@ -152,7 +152,7 @@ class Kept:
     def __call__(self, *args: Any, **named: Any) -> Any:
         leaves, structure = jax.tree.flatten((args, named))
         arrays = [x for x in leaves if _is_array(x)]
-        if any(isinstance(x, Tracer) for x in arrays):
+        if not is_known(arrays):
             return self.__wrapped__(*args, **named)
         types = tuple((x.shape, x.dtype, getattr(x, "weak_type", False)) for x in arrays)
         constants = [_Array if _is_array(x) else x for x in leaves]

@@ -11,12 +11,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float
 
 from irisjax._types import Numbers, Spectrum, as_float
 from irisjax.measure.measurement import check_wavelengths
-from irisjax.numerics.checks import check_known
+from irisjax.numerics.checks import check_known, is_known
 from irisjax.numerics.interpolation import piecewise_linear
 from irisjax.transport.solution import RESULTS
 
@@ -92,7 +91,7 @@ class Observer(eqx.Module):
         if np.shape(wavelengths)[0] < 2:
             why = "it integrates over the whole grid, which jax.vmap over it would take apart"
             raise ValueError(f"a colour needs at least two wavelengths: {why}")
-        if isinstance(wavelengths, Tracer):
+        if not is_known(wavelengths):
             made = _weighting(as_float(wavelengths), illuminant, observer, jnp)
             return cls(*made, illuminant, observer)
         grid = np.asarray(wavelengths, np.float64)
@@ -213,7 +212,7 @@ def illuminant_power(illuminant: str, wavelengths: Numbers) -> Any:
     """
     grid, values = _spectrum(illuminant)
     values = values / np.interp(560.0, grid, values)
-    if isinstance(wavelengths, Tracer):
+    if not is_known(wavelengths):
         x = as_float(wavelengths)
         return piecewise_linear(x, grid, values, outside=jnp.nan)
     x = np.asarray(wavelengths, np.float64)

@@ -1,13 +1,11 @@
 """Readings of instruments, and the checks of their settings."""
 
 import equinox as eqx
-import jax
 import numpy as np
-from jax.core import Tracer
 from numpy.typing import DTypeLike
 
 from irisjax._types import Numbers, Spectrum
-from irisjax.numerics.checks import Range, check_number
+from irisjax.numerics.checks import Range, check_number, is_known
 from irisjax.transport.solution import RESULTS, Absorbed
 
 DIFFUSE = "diffuse"
@@ -42,7 +40,7 @@ class Reading(eqx.Module):
     unit: str = eqx.field(static=True)
 
     def __repr__(self) -> str:
-        if any(isinstance(x, Tracer) for x in jax.tree.leaves(self)):
+        if not is_known(self):
             return f"{type(self).__name__}(traced)"
         head = f"{self.quantity} ({self.unit})" if self.unit else self.quantity
         grid = np.asarray(self.wavelengths)
@@ -81,7 +79,7 @@ def check_wavelengths(grid: Numbers) -> None:
     shape = np.shape(grid)
     if len(shape) != 1 or shape[0] == 0:
         raise ValueError(f"wavelengths must be a list of at least one number, got shape {shape}")
-    if isinstance(grid, Tracer):
+    if not is_known(grid):
         return
     grid = np.asarray(grid)
     if not np.isfinite(grid).all():

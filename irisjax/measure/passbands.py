@@ -3,13 +3,12 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float
 
 from irisjax._types import Numbers, Spectrum
 from irisjax.measure.colour import illuminant_power
 from irisjax.measure.measurement import check_wavelengths
-from irisjax.numerics.checks import Range, check_known, check_range
+from irisjax.numerics.checks import Range, check_known, check_range, is_known
 from irisjax.tissue.pigments import common_range
 
 BANDWIDTH = Range(0, 300, "nm", above=True)
@@ -158,7 +157,7 @@ def bands_of(wavelengths: Numbers, bands: "Passbands | float | None") -> "Passba
     """
     if bands is None or isinstance(bands, Passbands):
         return bands if bands is None else bands.matched(wavelengths)
-    if isinstance(wavelengths, Tracer):
+    if not is_known(wavelengths):
         raise ValueError(
             "a bandwidth needs concrete wavelengths; make its Passbands outside of jit"
         )

@@ -4,6 +4,7 @@ import difflib
 from collections.abc import Collection, Iterable
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from jax.core import Tracer
 
@@ -26,6 +27,11 @@ class Range(NamedTuple):
         """Whether each number is finite and in the range."""
         enough = value > self.low if self.above else value >= self.low
         return np.isfinite(value) & enough & (value <= self.high)
+
+
+def is_known(*values: object) -> bool:
+    """Whether no array in these trees is traced: their numbers can be looked at."""
+    return not any(isinstance(x, Tracer) for x in jax.tree.leaves(values))
 
 
 def check_range(name: str, value: object, allowed: Range) -> None:

@@ -16,8 +16,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 
+from irisjax.numerics.checks import is_known
 from irisjax.numerics.precision import full_precision
 
 P = TypeVar("P")
@@ -140,9 +140,8 @@ def cores() -> int:
 
 def _threads(pixels: object, others: object) -> int:
     """Number of threads: a power of two, so that no share is padded; one in a trace."""
-    if _count(pixels) < _FEW or jax.default_backend() != "cpu":
-        return 1
-    if any(isinstance(x, Tracer) for x in jax.tree.leaves((pixels, others))):
+    few = _count(pixels) < _FEW
+    if few or jax.default_backend() != "cpu" or not is_known(pixels, others):
         return 1
     return 1 << (min(cores(), 8).bit_length() - 1)
 

@@ -7,13 +7,12 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.numerics.checks import Range, check_range
+from irisjax.numerics.checks import Range, check_range, is_known
 from irisjax.ocularist.cones import Cones
 from irisjax.optics.conicoid import Conicoid
 
@@ -80,11 +79,11 @@ class Painting(eqx.Module):
         twice = {n for n in names if names.count(n) > 1}
         if twice:
             raise ValueError(f"coats need names of their own; more than once: {sorted(twice)}")
-        if isinstance(self.profile.radius, Tracer):
+        if not is_known(self.profile.radius):
             return
         if (np.diff(np.asarray(self.profile.radius)) <= 0).any():
             raise ValueError("the radii of an iris's profile must rise from the pupil to the root")
-        if any(isinstance(coat.height, Tracer) for coat in self.coats):
+        if not is_known([coat.height for coat in self.coats]):
             return
         for before, coat in itertools.pairwise(self.coats):
             low, high = float(coat.height), float(before.height)

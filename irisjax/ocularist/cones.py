@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Bool, Float, Int
 
 from irisjax._types import as_float
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.checks import check_whole
+from irisjax.numerics.checks import check_whole, is_known
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Vector, from_axis, parts
 
@@ -49,7 +48,7 @@ class Cones(eqx.Module):
         if circles < 2 or circles != radii:
             need = "a stack of cones needs two circles or more, a z and a radius each"
             raise ValueError(f"{need}; got {circles} and {radii}")
-        if isinstance(self.z, Tracer) or isinstance(self.radius, Tracer):
+        if not is_known(self.z, self.radius):
             return
         every = np.stack([self.z, self.radius], 1)
         for i, (z, radius) in enumerate(every):

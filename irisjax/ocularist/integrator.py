@@ -12,11 +12,11 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
+from irisjax.numerics.checks import is_known
 from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import bilinear, multilinear, smoothstep
 from irisjax.numerics.roots import safe_sqrt
@@ -194,7 +194,7 @@ def _groups(painting: Painting) -> list[list[Coat]]:
     groups: list[list[Coat]] = []
     for coat in reversed(painting.coats):
         first = groups[-1][0].height if groups else None
-        traced = isinstance(coat.height, Tracer) or isinstance(first, Tracer)
+        traced = not is_known(coat.height, first)
         if first is None or traced or float(first) - float(coat.height) > NEAR:
             groups.append([coat])
         else:

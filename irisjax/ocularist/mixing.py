@@ -18,12 +18,11 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float, Int
 
 from irisjax._types import as_float
 from irisjax.measure.colour import srgb_decode, srgb_encode
-from irisjax.numerics.checks import Range, check_known, check_range
+from irisjax.numerics.checks import Range, check_known, check_range, is_known
 
 PaintNames = str | Sequence[str]
 """The name of a paint, or one name per coat."""
@@ -169,7 +168,7 @@ class HslMixer(AbstractMixer):
 
 def rows(table: Array | np.ndarray) -> Array | np.ndarray:
     """The rows of a table, by NumPy where it can be: JAX compiles for each number of rows."""
-    return table if isinstance(table, Tracer) else np.asarray(table)
+    return np.asarray(table) if is_known(table) else table
 
 
 def linear_colour(name: str, colour: object) -> np.ndarray:

@@ -9,11 +9,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from irisjax._types import as_float
+from irisjax.numerics.checks import is_known
 from irisjax.numerics.interpolation import multilinear
 from irisjax.render.lights import Lights
 from irisjax.render.refraction import LARGEST_POLAR
@@ -46,7 +46,7 @@ class Environment(eqx.Module):
             raise ValueError(
                 f"an environment has the shape (rows, columns, 3), got {self.radiance.shape}"
             )
-        if not isinstance(self.radiance, Tracer):
+        if is_known(self.radiance):
             values = np.asarray(self.radiance)
             if (bad := ~np.isfinite(values)).any() or (bad := values < 0).any():
                 raise ValueError(
@@ -174,7 +174,7 @@ class Environment(eqx.Module):
         Raises:
             ValueError: `n` is not positive, or no light reaches the cornea.
         """
-        if isinstance(self.radiance, Tracer):
+        if not is_known(self.radiance):
             raise ValueError("to_lights needs concrete radiances; call it outside jit and grad")
         if n < 1:
             raise ValueError(f"a map gives at least one light, got n = {n}")

@@ -8,7 +8,6 @@ shadows on themselves but at the fold and in the corners, where they are darkene
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.core import Tracer
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
@@ -16,6 +15,7 @@ from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.lids import DOME, EDGE_WIDTH, FACE, FENCE, Lids
 from irisjax.anatomy.sclera import sclera_centre
+from irisjax.numerics.checks import is_known
 from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import bilinear, smoothstep
 from irisjax.numerics.roots import safe_sqrt
@@ -103,7 +103,7 @@ def lashes_seen(eye: Eye, camera: Camera) -> Float[Array, " pixels"] | None:
     radius = lashes[..., 3] * (camera.size[0] / camera.width)
     strokes = jnp.stack([column, row, radius], -1)
     longest, widest = jnp.abs(jnp.diff(strokes[..., :2], axis=1)).max(), 2 * radius.max()
-    if isinstance(longest, Tracer):
+    if not is_known(longest):
         longest, widest = camera.size[0] / 15, camera.size[0] / 100
     return stamped(strokes, camera.shape, *sections(float(longest), float(widest))).ravel()
 

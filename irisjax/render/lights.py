@@ -6,11 +6,10 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from irisjax._types import Reals, as_float, as_float_or_none
-from irisjax.numerics.checks import Range, check_range
+from irisjax.numerics.checks import Range, check_range, is_known
 from irisjax.optics.conicoid import Parts, parts
 from irisjax.render.refraction import direction_of
 
@@ -107,12 +106,12 @@ class Lights(eqx.Module):
                 raise ValueError(got) from None
 
     def __check_init__(self) -> None:
-        if not isinstance(self.towards, Tracer):
+        if is_known(self.towards):
             length = np.linalg.norm(np.asarray(self.towards, np.float64), axis=1)
             check_range("length of a lamp's direction", length, Range(1 - _UNIT, 1 + _UNIT))
         for name, allowed in LIGHT_LIMITS.items():
             check_range(f"a lamp's {name}", getattr(self, name), allowed)
-        if self.distance is not None and not isinstance(self.distance, Tracer):
+        if self.distance is not None and is_known(self.distance):
             distance = np.asarray(self.distance)  # infinite beside lamps that are near
             check_range("a lamp's distance", distance[distance != np.inf], LAMP_DISTANCE)
 

@@ -8,9 +8,9 @@ import dataclasses
 
 import equinox as eqx
 import numpy as np
-from jax.core import Tracer
 
 from irisjax._types import Scalar
+from irisjax.numerics.checks import is_known
 from irisjax.render.angular import (
     AngularFunctions,
     AngularLight,
@@ -77,7 +77,7 @@ class RadiativeIntegrator(AbstractTabulated):
         table = shipped_table(iris.indices(aqueous_index)) if self.solver is None else None
         if table is not None:
             held = _holds(table, *parts)
-            if not isinstance(held, Tracer) and held:
+            if is_known(held) and held:
                 return dataclasses.replace(self, solver=table)
         solver = RadiativeExact(16, 8) if self.solver is None else self.solver
         solver = solver.prepare(_deepest(*parts), Light(1.0))
@@ -99,7 +99,7 @@ class RadiativeIntegrator(AbstractTabulated):
         flux = fluxes_of(lights, front.eye, tables)
         turned, known = (pixels, facing), (flux, lights.tint, front.eye, angles)
         some = light_of(some_of(turned), *known, None)
-        if isinstance(some, Tracer):
+        if not is_known(some):
             return light_of(turned, *known, None), None
         mixtures, shares = mixtures_of(some, angles)
         return light_of(turned, *known, mixtures), shares

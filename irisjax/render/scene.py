@@ -3,13 +3,12 @@
 import dataclasses
 
 import equinox as eqx
-import jax
 import numpy as np
-from jax.core import Tracer
 
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.sclera import VeinMap
 from irisjax.measure.colour import OBSERVER
+from irisjax.numerics.checks import is_known
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import UNIQUE_POLAR, Illumination
@@ -91,7 +90,7 @@ class Scene(eqx.Module):
                 "spectral pictures need plain lamps: environments and tints have colours, not "
                 "spectra"
             )
-        if lights is not None and not isinstance(lights.radius, Tracer):
+        if lights is not None and is_known(lights.radius):
             widest = float(np.max(np.asarray(lights.radius)))
             # Wider ones stand for regions of an environment, which is mirrored itself.
             if widest > np.pi / 2 + 1e-6:
@@ -139,7 +138,7 @@ class Scene(eqx.Module):
         """Whether a light comes from so far aside that the cornea folds it into caustics; true
         where the lights are traced.
         """
-        if any(isinstance(x, Tracer) for x in jax.tree.leaves((self.lights, self.environment))):
+        if not is_known(self.lights, self.environment):
             return True
         return bool((np.asarray(self.all_lights().polar()) > UNIQUE_POLAR).any())
 

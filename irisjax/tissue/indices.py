@@ -5,10 +5,10 @@ from typing import Literal
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.core import Tracer
 from jaxtyping import Array, Bool
 
 from irisjax._types import Numbers, Scalar, Spectrum
+from irisjax.numerics.checks import is_known
 
 FIBROBLAST_FRACTION = 1 / 3
 """Volume fraction of fibroblasts in the ABL [LB06 Section 4]."""
@@ -88,7 +88,7 @@ class RefractiveIndices(eqx.Module):
     def order(self) -> Order:
         """Return the order of the layers; all is possible if an index is traced or an array."""
         layers = (self.abl, self.stroma, self.ipe)
-        if any(isinstance(n, Tracer) or jnp.ndim(n) for n in layers):
+        if not is_known(layers) or any(map(jnp.ndim, layers)):
             return Order()
         abl, stroma, ipe = map(float, layers)
         return Order(abl > stroma, stroma > abl, stroma > ipe)

@@ -12,11 +12,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar, optional_field
 from irisjax.anatomy.eye import Eye
+from irisjax.numerics.checks import is_known
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.tissue.pigments import Extinction
@@ -65,7 +65,7 @@ class IrisMaps(eqx.Module):
                 f"maps differ in shape: {', '.join(f'{n} {s}' for n, s in shapes.items())}"
             )
         for name, found in self.present().items():
-            if isinstance(found, Tracer):
+            if not is_known(found):
                 continue
             m = np.asarray(found)
             colours = (_CHANNELS,) if name == "residual" else ()
@@ -116,7 +116,7 @@ class IrisMaps(eqx.Module):
         for layer in ("abl", "stroma"):
             thickness = getattr(iris, f"{layer}_thickness")
             given = getattr(self, f"{layer}_depth") is not None
-            if given and not isinstance(thickness, Tracer) and not np.asarray(thickness).all():
+            if given and is_known(thickness) and not np.asarray(thickness).all():
                 raise ValueError(
                     f"{layer}_thickness = 0 mm leaves no concentrations for the map "
                     f"{layer}_depth to keep"

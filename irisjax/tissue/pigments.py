@@ -9,10 +9,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from irisjax._types import Numbers, Spectrum, as_float
+from irisjax.numerics.checks import is_known
 from irisjax.numerics.interpolation import piecewise_linear
 
 _PER_CM = 0.1  # 1 cm⁻¹ in mm⁻¹
@@ -84,7 +84,7 @@ def extinction(wavelengths: Numbers) -> Extinction:
     Raises:
         ValueError: For a concrete wavelength outside a table, with the table and its range.
     """
-    if isinstance(wavelengths, Tracer):
+    if not is_known(wavelengths):
         x = as_float(wavelengths)
         at = partial(piecewise_linear, x, outside=jnp.nan)
         return Extinction(wavelengths=x, **_interpolate(at))

@@ -10,9 +10,9 @@ from importlib import resources
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 
 from irisjax._types import Real
+from irisjax.numerics.checks import is_known
 from irisjax.numerics.tucker import Tucker
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
@@ -84,7 +84,7 @@ def table_for(indices: RefractiveIndices, process: AbstractProcess) -> AbstractS
 
 def shipped_table(indices: RefractiveIndices) -> RadiativeTabulated | None:
     """The table of radiative transfer in the package; `None` for other or traced indices."""
-    if any(isinstance(n, Tracer) for n in jax.tree.leaves(indices)):
+    if not is_known(indices):
         return None
     found = _read(*_key(indices), DEPTH_RESOLVED)
     return found if isinstance(found, RadiativeTabulated) else None

@@ -12,11 +12,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
 
 from irisjax._types import PRNGKey, Real
 from irisjax.numerics import linear
-from irisjax.numerics.checks import check_whole
+from irisjax.numerics.checks import check_whole, is_known
 from irisjax.numerics.precision import full_precision
 from irisjax.numerics.roots import share_of
 from irisjax.numerics.sharding import laid_out
@@ -79,7 +78,7 @@ class AddingDoubling(AbstractSolver):
         """Make a solver with enough angles for a BRDF of a stroma that scatters with this mean
         cosine; the usual number if it is traced.
         """
-        if isinstance(anisotropy, Tracer):
+        if not is_known(anisotropy):
             return cls()
         return cls(max(cls.n_angles, resolution.moments_for(float(anisotropy))))
 
@@ -117,7 +116,7 @@ class AddingDoubling(AbstractSolver):
 
 def doublings_for(layers: Layers) -> int | None:
     """Doublings needed for concrete layers; `None` for traced ones."""
-    if isinstance(layers.extinction, Tracer):
+    if not is_known(layers.extinction):
         return None
     depth = np.asarray(layers.extinction)
     # Layers that are not numbers are refused by the status; nothing helps them.

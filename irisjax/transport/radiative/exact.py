@@ -13,11 +13,10 @@ from functools import partial
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.core import Tracer
 
 from irisjax._types import PRNGKey
 from irisjax.numerics import linear
-from irisjax.numerics.checks import check_whole
+from irisjax.numerics.checks import check_whole, is_known
 from irisjax.numerics.precision import full_precision
 from irisjax.numerics.sharding import laid_out
 from irisjax.tissue.layers import Layers
@@ -75,8 +74,7 @@ class RadiativeExact(AbstractSolver):
     def prepare(self, layers: Layers, light: Light) -> "RadiativeExact":
         if self.n_panels is not None:
             return self
-        known = not any(isinstance(x, Tracer) for x in jax.tree.leaves(light))
-        slant = _steepness(layers, light) if known else 1.0
+        slant = _steepness(layers, light) if is_known(light) else 1.0
         panels = resolution.panels_for(layers, self.n_depths, slant)
         return RadiativeExact(self.n_angles, self.n_depths, panels, process=self.process)
 

@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.core import Tracer
 
 from irisjax._types import Real
+from irisjax.numerics.checks import is_known
 from irisjax.optics.fresnel import refract
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.layers import Layers
@@ -25,7 +25,7 @@ _OPAQUE = 18.5  # optical depth of an ABL behind which less than 1e-8 is left
 
 def panels_for(layers: Layers, n_depths: int, slant: Real = 1.0) -> int | None:
     """Depth panels needed for concrete layers of such a `steepness`; `None` for traced ones."""
-    if any(isinstance(x, Tracer) for x in (layers.extinction, layers.albedo, slant)):
+    if not is_known(layers.extinction, layers.albedo, slant):
         return None
     for panels in range(1, _MOST_PANELS):
         coarseness = np.asarray(_coarseness(layers, n_depths, panels, slant))
