@@ -236,6 +236,11 @@ def beginning_of(photo: Photograph, limbus: FittedEllipse, near: FittedEllipse) 
         held, place = edges.steps_along(profile, span, _PUPIL_WIDTHS, 0.15).strongest(reach)
         circle = edges.refine_outline(circle, held, place, _EVEN, expected).outline
     good = _profile(picture, cut_off, circle, _PUPIL_SPAN, 241)[held > 0.3]
+    good = good[np.isfinite(good).any(1)]
+    if len(good):  # each above its own dark: a mirror image over the rim adds light to both sides
+        good = good - np.nanquantile(good, 0.1, axis=1, keepdims=True)
+        rise = np.nanmax(good, 1)
+        good = good[rise > 0.1 * np.quantile(rise, 0.75)]
     if len(good) < 12 or not np.isfinite(good).any(0).all():
         return near._replace(outline=back(circle))
     # The width of the rise comes from all rays together: one alone is too noisy in a dark iris. The

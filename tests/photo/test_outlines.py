@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from irisjax.photo.outlines import MIN_CONFIDENCE, Boundaries, find_boundaries
+from irisjax.photo.edges import FittedEllipse
+from irisjax.photo.outlines import (
+    MIN_CONFIDENCE,
+    Boundaries,
+    beginning_of,
+    find_boundaries,
+)
 from irisjax.photo.photograph import Ellipse
 from photo.simulated import (
     SKIN,
@@ -256,6 +262,22 @@ def soft_limbus(eye: Simulated) -> Simulated:
 def yellow_ring(eye: Simulated) -> Simulated:
     share = ((places(eye)[2] < 0.62)[..., None]) * np.array([1.2, 0.25, -0.65])
     return eye._replace(pixels=eye.pixels * (1 + share))
+
+
+def mirrored_horizon(eye: Simulated) -> Simulated:
+    """As bright as the iris, over a little more than half of the pupil."""
+    _, v, r = places(eye)
+    sky = ndimage.gaussian_filter(((r < 0.8) & (v < 0.05) & (v > -0.5)).astype(float), 0.6)
+    return eye._replace(pixels=eye.pixels + sky[..., None] * [0.10, 0.16, 0.28])
+
+
+def test_a_horizon_over_the_pupil_does_not_move_where_the_iris_begins(small):
+    """Beside the sky, whose light both sides of the rim have, the rise is as sharp as elsewhere."""
+    eye = mirrored_horizon(small)
+    known = FittedEllipse(eye.limbus, 1.0), FittedEllipse(eye.pupil, 1.0)
+    found = beginning_of(eye.photograph(), *known)
+    assert errors(found.outline, eye.pupil).max() < 0.02
+    assert found.margin is not None and found.margin < 0.02
 
 
 @pytest.mark.parametrize("change", [mirrored_window, mirrored_sky, soft_limbus, yellow_ring])
