@@ -87,9 +87,10 @@ def evidence_for(photo: Photograph, limbus: FittedEllipse, pupil: FittedEllipse)
     scale = circle.semi_axes[0] / outer.semi_axes[0]
     middle = scale * np.subtract(inner.centre, outer.centre) + circle.centre
     hole = inner.scaled(scale)._replace(centre=(float(middle[0]), float(middle[1])))
-    # Yellow irides are black in blue light.
+    # Yellow irides are black in blue light; what is burnt out shows neither iris nor pupil.
     mean = cut_around(photo.pixels, outer, 2.0, _JUDGED)[0].mean(-1)
-    dark, enclosed = darkness(mean, hole)
+    burnt, *_ = cut_around(photo.saturated[..., None].astype(np.float32), outer, 2.0, _JUDGED)
+    dark, enclosed = darkness(np.where(burnt[..., 0] > 0.1, np.nan, mean), hole)
     texture = (place > 1.15 * inner.mean_radius / outer.mean_radius) & (place < 0.9)
     return Evidence(
         limbus=limbus.support,
@@ -144,7 +145,7 @@ def darkness(picture: Brightness, hole: Ellipse) -> tuple[float, float]:
     if not inside.size:
         return 0.0, 0.0
     deep = float(np.quantile(inside, 0.25))
-    # A ray that leaves the picture is no evidence of a brighter surrounding.
+    # A ray of which nothing is seen around is no evidence of a brighter surrounding.
     around = np.nan_to_num(_median(profile[:, place > 1.12], 1), nan=deep)
     iris = float(np.median(around))
     dark = np.clip((1 - deep / (iris + 1e-9) - 0.4) / 0.5, 0, 1)
