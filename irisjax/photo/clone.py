@@ -180,6 +180,7 @@ class Posed(Outlined):
         view: What the camera sees of the eye.
         part: Linear pixels of the camera's picture.
         clear: Pixels of `part` that show the iris and nothing in front of it.
+        limbus: Outline of the limbus, in pixels of `part`.
         pupil: Outline of the pupil as it appears, in pixels of `part`.
         lids: Whether lids hide some of the iris.
         second: The second photograph on the pixels of `part`.
@@ -189,6 +190,7 @@ class Posed(Outlined):
     view: View
     part: Colours
     clear: Mask
+    limbus: Ellipse
     pupil: Ellipse
     lids: bool
     second: SecondPhotograph | None
@@ -461,14 +463,14 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
         )
     cut = slice(y, y + rows), slice(x, x + columns)
     view, pixels, clear = look(pose.eye, pose.camera), part.pixels[cut], clear[cut]
+    limbus = part.limbus.moved(-x, -y)
     if lids.any():
-        around = part.outside[cut], part.limbus.moved(-x, -y)
-        clear = clear & ~find_mirrored_face(pixels, *around, view.mirror)
+        clear = clear & ~find_mirrored_face(pixels, part.outside[cut], limbus, view.mirror)
     second = None
     if given.second is not None:
         second = lay_on_first(given.second, photograph, boundaries.limbus, boundaries.pupil, cut)
     known: dict[str, Any] = {"pose": pose, "view": view, "part": pixels, "clear": clear}
-    known["pupil"] = pupil.moved(-x, -y)
+    known |= {"limbus": limbus, "pupil": pupil.moved(-x, -y)}
     return Posed(**vars(outlined), **known, lids=bool(lids.any()), second=second)
 
 
@@ -512,7 +514,7 @@ def light_eye(
     """Infer the light from highlights, or take the given one, and tabulate it on the iris."""
     pose = shaped.pose
     if given.lights is None and given.environment is None:
-        light = find_lighting(shaped.part, pose, shaped.view)
+        light = find_lighting(shaped.part, shaped.limbus, pose, shaped.view)
     else:
         count = given.environment_lights
         light = Lighting(given.lights, given.environment, environment_lights=count)

@@ -19,6 +19,8 @@ from irisjax.render.shading import fluxes_of
 
 _LEAST = 5  # pixels of a highlight
 _MOST = 6  # lamps
+_WITHIN = 0.85  # of the limbus, where highlights are those of the cornea
+_CUT_OFF = 0.97  # brightness above which it may be
 _GATHERED = 1.131**2  # gain of light from all round by the cornea: the pupil's magnification²
 _INSIDE = 0.8  # relative radius of the pupil within which nothing of its edge is seen
 SHADED = 0.7  # light below which a place of the iris counts as shade, relative to the usual light
@@ -51,21 +53,30 @@ class Lighting(NamedTuple):
         return around if self.lamps is None else self.lamps + around
 
 
-def find_lighting(part: Colours, pose: Pose, view: View) -> Lighting:
+def find_lighting(part: Colours, limbus: Ellipse, pose: Pose, view: View) -> Lighting:
     """Infer lamps at infinity, in a room, from the directions that highlights of the camera's
     picture mirror.
 
-    The lamps share an irradiance of π in proportion to the areas of their highlights, whose
-    brightness is cut off. Without a highlight, uniform light from all round is assumed.
+    A highlight is cut off somewhere, and reaches to half of that brightness: rounding and JPEG
+    break up what is cut off alone. The lamps share an irradiance of π in proportion to the areas of
+    their highlights. Without a highlight, uniform light from all round is assumed.
+
+    Args:
+        part: Linear pixels of the camera's picture.
+        limbus: Outline of the limbus on them: a white that is cut off lies beyond it.
+        pose: Camera and eye.
+        view: What the camera sees of the eye.
     """
     seen, shape, found = view.mirror, pose.camera.shape, list[tuple[Any, float]]()
     if seen is not None:
         directions = onto_picture(seen, np.stack([np.asarray(c) for c in seen.mirror], -1), shape)
         brightness = part.max(-1)
-        row, column = np.ogrid[: shape[0], : shape[1]]
-        middle = np.hypot(row - shape[0] / 2, column - shape[1] / 2) < 0.37 * min(shape)
-        bright = middle & (brightness > max(0.97, 4 * np.median(brightness[middle])))
-        spots = [s for s in measure.regionprops(measure.label(bright)) if s.area >= _LEAST]
+        middle = limbus.radii(shape) < _WITHIN
+        usual = np.median(brightness[middle])
+        cut_off = middle & (brightness > max(_CUT_OFF, 4 * usual))
+        glow = np.asarray(measure.label(middle & (brightness > 0.5 * (_CUT_OFF + usual))))
+        spots = measure.regionprops(glow, cut_off.astype(float))
+        spots = [s for s in spots if s.area >= _LEAST and s.intensity_max > 0]
         for spot in sorted(spots, key=lambda s: -s.area)[:_MOST]:
             at = directions[tuple(spot.coords.T)]
             on_cornea = at.any(-1)

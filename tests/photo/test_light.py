@@ -5,12 +5,15 @@ import pytest
 
 from irisjax.anatomy.eye import Eye
 from irisjax.photo.light import find_lighting, shade_on
+from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pose import Pose
 from irisjax.photo.texture import Unrefracted, texels_of
 from irisjax.render.camera import Camera
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.project import look
+
+LIMBUS = Ellipse((100.0, 100.0), (87.0, 85.0), 0.35 + np.pi / 2)
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +39,7 @@ def _mirrored(pose, towards, radius):
 
 
 def _told(picture, pose):
-    return find_lighting(picture, pose, look(pose.eye, pose.camera))
+    return find_lighting(picture, LIMBUS, pose, look(pose.eye, pose.camera))
 
 
 def _direction(polar, azimuth):
@@ -54,6 +57,19 @@ def test_a_highlight_tells_where_its_lamp_stands(pose, polar, azimuth):
     assert np.degrees(np.arccos(found @ towards)) < 2
     np.testing.assert_allclose(lights.irradiance, np.pi)
     assert float(lights.radius[0]) == pytest.approx(0.08, rel=0.4)
+
+
+def test_a_highlight_that_rounding_breaks_up_is_one_lamp(pose):
+    """And a white that is cut off, beside the limbus, is none."""
+    towards = _direction(0.3, 2.0)
+    picture = _mirrored(pose, towards, 0.15)
+    row, column = np.indices(pose.camera.shape)
+    uneven = (picture[..., 0] > 0.5) & (((row + column) % 5 == 0) | ((row - column) % 7 == 0))
+    picture[uneven] = 0.9
+    picture[LIMBUS.radii(pose.camera.shape) > 0.99] = 1.0
+    light = _told(picture, pose)
+    assert light.found == 1
+    assert np.degrees(np.arccos(np.asarray(light.lights().towards)[0] @ towards)) < 2
 
 
 def test_two_lamps_share_the_light_by_their_areas(pose):
