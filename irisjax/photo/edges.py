@@ -377,14 +377,13 @@ def _misses(p, points):
     a, b = even * u - uneven * turned, even * v - uneven * across
     away = np.exp(-size) * np.hypot(a, b)
     a, b = (np.exp(-2 * size) * part / (away + 1e-12) for part in (a, b))
+    bent = a * (half * u - bend * turned) + b * (half * v - bend * across)
     slopes = [
         -a * (even - uneven * p3) + b * uneven * p4,
         a * uneven * p4 - b * (even + uneven * p3),
         -away,
-        p3 * (a * (half * u - bend * turned) + b * (half * v - bend * across))
-        - uneven * (a * u - b * v),
-        p4 * (a * (half * u - bend * turned) + b * (half * v - bend * across))
-        - uneven * (a * v + b * u),
+        p3 * bent - uneven * (a * u - b * v),
+        p4 * bent - uneven * (a * v + b * u),
     ]
     return away - 1, np.stack(slopes, -2)
 
