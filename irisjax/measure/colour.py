@@ -190,6 +190,14 @@ def lab_of(ratio: Numbers) -> Array:
     return jnp.stack([116 * f[1] - 16, 500 * (f[0] - f[1]), 200 * (f[1] - f[2])])
 
 
+@eqx.filter_jit
+def lab_of_srgb(linear: Float[Array | np.ndarray, "*s 3"]) -> Float[Array, "*s 3"]:
+    """CIE 1976 L*a*b* under D65 of linear sRGB."""
+    to_xyz = np.linalg.inv(XYZ_TO_SRGB)
+    to_ratio = jnp.asarray(to_xyz / to_xyz.sum(1, keepdims=True), linear.dtype)
+    return jnp.moveaxis(lab_of(jnp.moveaxis(linear @ to_ratio.T, -1, 0)), 0, -1)
+
+
 def _check_visible(grid: np.ndarray) -> None:
     """Raise `ValueError` where a grid leaves out a part of `VISIBLE` or is too coarse.
 

@@ -19,6 +19,7 @@ from scipy.ndimage import gaussian_filter
 
 from irisjax._types import PRNGKey, as_float
 from irisjax.anatomy.eye import Eye
+from irisjax.measure.colour import lab_of_srgb
 from irisjax.numerics.checks import Range, check_range, check_whole
 from irisjax.numerics.streams import words_of
 from irisjax.ocularist import plan
@@ -120,7 +121,7 @@ def match(
         jnp.asarray(mixer.indices(first)),
         jnp.asarray(mixer.indices(second)),
         opacity.reshape(len(ordered), -1)[:, taken],
-        plan.lab(target.reshape(-1, 3)[taken]),
+        lab_of_srgb(target.reshape(-1, 3)[taken]),
         as_float(values[1]),
         jnp.asarray(np.array(components) == "base"),
         as_float(start),
@@ -185,7 +186,7 @@ def retouch(
     target, mask = _checked_target(target, known)
     row, column, on = plan.rolled(target.shape[:2], eye, size)
     there = on & mask[row, column]
-    wanted = plan.lab(target[row, column][there])
+    wanted = lab_of_srgb(target[row, column][there])
     coats = painted(recipes, mixer, eye, size=size, scans=scans).coats
     opacities = jnp.stack([coat.opacity[there] for coat in coats])
     state = plan_view(opacities, jnp.stack([coat.colour for coat in coats]))
@@ -263,7 +264,7 @@ def _residuals(x, problem: _Problem):
     shares, strengths = _values(x, problem)
     colours = problem.mixer.blend(problem.first, problem.second, shares)
     seen = plan_view(strengths[:, None] * problem.opacity, colours)
-    off = (plan.lab(seen) - problem.target).ravel() / np.sqrt(len(problem.target))
+    off = (lab_of_srgb(seen) - problem.target).ravel() / np.sqrt(len(problem.target))
     return jnp.concatenate([off, _PULL * (x - problem.start)])
 
 
@@ -311,7 +312,7 @@ def _best(state, wanted, colour, levels):
     """Least ΔE² of each texel, and the opacity at which it is reached."""
 
     def at(level):
-        return ((plan.lab(_above(state, level, colour[None])) - wanted) ** 2).sum(-1)
+        return ((lab_of_srgb(_above(state, level, colour[None])) - wanted) ** 2).sum(-1)
 
     left = jax.lax.map(at, levels)
     return left.min(0), levels[left.argmin(0)]

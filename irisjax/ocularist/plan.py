@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from irisjax.anatomy.eye import Eye
-from irisjax.measure.colour import XYZ_TO_SRGB, lab_of
+from irisjax.measure.colour import lab_of_srgb
 from irisjax.numerics.checks import check_whole
 from irisjax.ocularist.coats import Painting, over, texels, through
 from irisjax.ocularist.integrator import look_up
@@ -99,14 +99,6 @@ def rolled(
     return row, column, (place >= 0) & (place <= 1)
 
 
-@eqx.filter_jit
-def lab(linear: Float[Array, "*s 3"]) -> Float[Array, "*s 3"]:
-    """CIE L*a*b* under D65 of linear sRGB."""
-    matrix = np.linalg.inv(XYZ_TO_SRGB)
-    to_ratio = jnp.asarray(matrix / matrix.sum(1, keepdims=True), linear.dtype)
-    return jnp.moveaxis(lab_of(jnp.moveaxis(linear @ to_ratio.T, -1, 0)), 0, -1)
-
-
 def difference(
     one: Float[Array | np.ndarray, "*s 3"],
     other: Float[Array | np.ndarray, "*s 3"],
@@ -120,7 +112,7 @@ def difference(
 
 @eqx.filter_jit
 def _delta(one, other):
-    return jnp.sqrt(((lab(one) - lab(other)) ** 2).sum(-1))
+    return jnp.sqrt(((lab_of_srgb(one) - lab_of_srgb(other)) ** 2).sum(-1))
 
 
 @eqx.filter_jit

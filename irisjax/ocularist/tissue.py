@@ -11,8 +11,9 @@ from scipy.spatial import KDTree
 
 from irisjax._types import as_float
 from irisjax.anatomy.eye import Eye
+from irisjax.measure.colour import lab_of_srgb
 from irisjax.ocularist.coats import Painting
-from irisjax.ocularist.plan import TEXTURE_SHAPE, Difference, difference, lab, texture_of
+from irisjax.ocularist.plan import TEXTURE_SHAPE, Difference, difference, texture_of
 from irisjax.render.albedo import Matt
 from irisjax.render.bands import colour_bands
 from irisjax.render.radiative import RadiativeIntegrator
@@ -93,7 +94,7 @@ def nearest_tissue(
     """
     iris = Iris()
     paint = texture_of(painting, eye, shape)
-    wanted = np.asarray(lab(paint), np.float64).reshape(-1, 3)
+    wanted = np.asarray(lab_of_srgb(paint), np.float64).reshape(-1, 3)
     scales = np.stack(np.meshgrid(EUMELANIN, PHEOMELANIN, STROMA, indexing="ij"), -1)
     tried = _maps(scales.reshape(len(EUMELANIN), -1, 3), iris)
     colours = reflectance_of(iris, tried, eye).reshape(-1, 3)
@@ -115,7 +116,7 @@ def _maps(scales: np.ndarray, iris: Iris) -> IrisMaps:
 
 def _nearest(wanted: np.ndarray, colours, scales: np.ndarray, exposure: float):
     """Distances to the nearest tissue of the table, and its indices."""
-    shown = np.asarray(lab(as_float(exposure) * colours), np.float64)
+    shown = np.asarray(lab_of_srgb(as_float(exposure) * colours), np.float64)
     table = KDTree(np.concatenate([shown, _PULL * np.log(scales)], 1))
     distance, place = table.query(np.concatenate([wanted, np.zeros_like(wanted)], 1))
     return np.asarray(distance), np.asarray(place)

@@ -9,7 +9,7 @@ from scipy.cluster.vq import kmeans2
 from skimage import filters, measure
 
 from irisjax._types import PRNGKey
-from irisjax.measure.colour import XYZ_TO_SRGB, lab_of, srgb_encode
+from irisjax.measure.colour import lab_of_srgb, srgb_encode
 from irisjax.numerics.streams import words_of
 from irisjax.photo.clone import Outlined
 from irisjax.photo.masks import Part, part_of, regions_that
@@ -19,8 +19,6 @@ from irisjax.photo.texture import LUMINANCE_WEIGHTS, masked_mean
 RINGS = {"pupillary ring": (0.06, 0.28), "collarette": (0.28, 0.45), "ciliary ring": (0.45, 0.9)}
 """Inner and outer borders of the rings, shares of the way from the pupil to the limbus."""
 WHOLE_IRIS = "whole iris"
-_TO_XYZ = np.linalg.inv(XYZ_TO_SRGB)
-_TO_WHITE = _TO_XYZ / _TO_XYZ.sum(1, keepdims=True)  # to XYZ relative to D65's white
 _DRAWS = 2000
 
 # The white of people's eyes: logarithms of luminance, red over green and blue over green, linear
@@ -303,7 +301,7 @@ class _Draws(NamedTuple):
     def lab(self, mean: np.ndarray, covariance: np.ndarray, random: np.random.Generator):
         """Return L*a*b*, (3, draws), of a mean with an error of its own."""
         scatter = random.multivariate_normal(np.zeros(3), covariance, _DRAWS)
-        return np.asarray(lab_of(_TO_WHITE @ self.linear(mean + scatter).T))
+        return np.asarray(lab_of_srgb(self.linear(mean + scatter))).T
 
 
 def _region(samples: np.ndarray, srgb: np.ndarray, share: float) -> RegionColour:
@@ -338,7 +336,7 @@ def _dominant(
     places = np.linspace(0, len(smooth) - 1, _CLUSTERED).astype(int)
     chosen = smooth[places]
     middle = _Draws(draws.white, *(values[:1] for values in draws[1:]))
-    lab = np.asarray(lab_of(_TO_WHITE @ middle.linear(chosen).T)).T
+    lab = np.asarray(lab_of_srgb(middle.linear(chosen)))
     weighed = lab * (_LIGHTNESS, 1, 1)
     axis = np.linalg.eigh(np.cov(weighed.T))[1][:, -1]
     thirds = np.array_split(weighed[np.argsort(weighed @ axis, kind="stable")], 3)
