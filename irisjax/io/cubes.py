@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from irisjax.infer.pixels import PixelFlag
 from irisjax.io.formats import read_spectral_table
-from irisjax.io.tables import naming
+from irisjax.io.tables import first_line, naming
 
 # Units of wavelengths by their factor to nm.
 _UNITS = {
@@ -253,7 +253,7 @@ def _envi(path: Path, unit: str | None) -> Cube:
     except OSError:
         raise
     except Exception as error:  # the library raises errors of its own, KeyError and TypeError too
-        raise ValueError(f"no ENVI header that can be read ({_first_line(error)})") from None
+        raise ValueError(f"no ENVI header that can be read ({first_line(error)})") from None
     size, offset = Path(image.filename).stat().st_size, int(image.offset)
     need = offset + rows * columns * bands * stored.itemsize
     if size != need:
@@ -292,7 +292,7 @@ def _xarray(path: Path, variable: str | None, unit: str | None) -> Cube:
     except (OSError, ModuleNotFoundError):
         raise
     except Exception as error:  # each of the libraries that xarray uses raises errors of its own
-        raise ValueError(f"cannot be read ({_first_line(error)})") from None
+        raise ValueError(f"cannot be read ({first_line(error)})") from None
     cubes = [str(n) for n, v in data.data_vars.items() if v.ndim == 3]
     if variable is not None and variable not in cubes:
         raise ValueError(f"has no variable {variable!r} of three axes; it has {', '.join(cubes)}")
@@ -362,7 +362,3 @@ def _to_nm(grid: np.ndarray, unit: object) -> float:
 
 def _by(shape: tuple[int, ...]) -> str:
     return " x ".join(map(str, shape))
-
-
-def _first_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:160] or type(error).__name__

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from irisjax.io.tables import naming, replacing
+from irisjax.io.tables import first_line, naming, replacing
 from irisjax.measure.colour import srgb_decode
 from irisjax.numerics.checks import check_known
 from irisjax.render.environment import Environment
@@ -195,7 +195,7 @@ def decode_file(
         wishes.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha
         file = oiio.ImageInput.open(str(path), wishes)
         if file is None:
-            raise ValueError(f"not a picture that can be read ({_first_line(oiio.geterror())})")
+            raise ValueError(f"not a picture that can be read ({first_line(oiio.geterror())})")
         try:
             spec = file.spec()
             if check is not None:
@@ -205,7 +205,7 @@ def decode_file(
             values = file.read_image(kind)
             complaint = file.geterror()  # a truncated JPEG has values as well as an error
             if values is None or complaint:
-                raise ValueError(f"the picture is broken ({_first_line(complaint)})")
+                raise ValueError(f"the picture is broken ({first_line(complaint)})")
             several = file.seek_subimage(1, 0)
         finally:
             file.close()
@@ -248,20 +248,20 @@ def _write(
             # The format is named, since the temporary file's name does not show it.
             file, done = oiio.ImageOutput.create(suffix[1:]), 0
             if not (file and file.open(str(temporary), spec)):
-                raise ValueError(_first_line(file.geterror() if file else oiio.geterror()))
+                raise ValueError(first_line(file.geterror() if file else oiio.geterror()))
             try:
                 for band in itertools.chain([first], bands):
                     if done + len(band) > rows or band.shape[1:] != first.shape[1:]:
                         raise ValueError(f"a band of {band.shape} after {done} of {rows} rows")
                     if not file.write_scanlines(done, done + len(band), 0, band):
-                        raise ValueError(_first_line(file.geterror()))
+                        raise ValueError(first_line(file.geterror()))
                     done += len(band)
             finally:
                 closed = file.close()
             if done != rows:
                 raise ValueError(f"{done} of {rows} rows")
             if not closed:
-                raise ValueError(_first_line(file.geterror()))
+                raise ValueError(first_line(file.geterror()))
 
 
 def _pixels(image: Any, channels: int) -> np.ndarray:
@@ -284,8 +284,3 @@ def _check_png(file: BinaryIO) -> None:
         if kind[:1].isupper() and zlib.crc32(kind + body) != int.from_bytes(sum_):
             part = kind.decode("latin-1")
             raise ValueError(f"the picture is broken (its part {part!r} is damaged)")
-
-
-def _first_line(text: str) -> str:
-    """The first line of an error's text."""
-    return text.strip().split("\n")[0] or "no reason given"

@@ -255,7 +255,7 @@ def scene_text(
             **({} if ring else {"limbal_ring": 0.0}),
         },
         "camera": {
-            **{f"{name}_deg": _degrees(getattr(camera, name)) for name in ("polar", "azimuth")},
+            **{f"{name}_deg": in_degrees(getattr(camera, name)) for name in ("polar", "azimuth")},
             **{name: getattr(camera, name) for name in ("distance", "width", "images", "size")},
         },
         "picture": {
@@ -285,15 +285,16 @@ def scene_text(
 def _light(lights: Lights, k: int) -> dict[str, Any]:
     x, y, z = np.asarray(lights.towards[k], np.float64)
     polar, azimuth = math.atan2(math.hypot(x, y), -z), math.atan2(y, x)
-    place: dict[str, Any] = {"polar_deg": _degrees(polar), "azimuth_deg": _degrees(azimuth)}
+    place: dict[str, Any] = {"polar_deg": in_degrees(polar), "azimuth_deg": in_degrees(azimuth)}
     if lights.distance is not None and np.isfinite(away := float(lights.distance[k])):
         place = {"position": [round(away * v, 5) for v in (x, y, z)]}
     tint = {} if lights.tint is None else {"colour": lights.tint[k]}
-    power = {"irradiance": lights.irradiance[k], "radius_deg": _degrees(lights.radius[k])}
+    power = {"irradiance": lights.irradiance[k], "radius_deg": in_degrees(lights.radius[k])}
     return place | tint | power
 
 
-def _degrees(angle: Any) -> float:
+def in_degrees(angle: Any) -> float:
+    """An angle in radians as scenes state it, in degrees with five decimals."""
     return round(math.degrees(angle), 5)
 
 

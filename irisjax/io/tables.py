@@ -46,6 +46,11 @@ def read_header(path: str | Path) -> dict[str, str]:
     return header
 
 
+def first_line(said: object) -> str:
+    """The first line of a library's error, or of its text, for a message of one line."""
+    return str(said).strip().split("\n")[0][:160] or "no reason given"
+
+
 @contextlib.contextmanager
 def naming(path: str | Path) -> Iterator[None]:
     """Begin the text of a `ValueError` with the name of the file that it is about."""

@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from irisjax.io.scenes import in_degrees
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import check_known
 from irisjax.render.camera import Camera
@@ -191,16 +192,16 @@ class Session(abc.ABC, Generic[S]):
         """Settings of the scene as it was given."""
         scene = self._base
         start = {
-            "camera_polar": _degrees(scene.camera.polar),
-            "camera_azimuth": _degrees(scene.camera.azimuth),
+            "camera_polar": in_degrees(scene.camera.polar),
+            "camera_azimuth": in_degrees(scene.camera.azimuth),
             "width": float(scene.camera.width),
             "environment": "none" if scene.environment is None else GIVEN,
         }
         if scene.lights is not None:
             x, y, z = np.asarray(scene.lights.towards[0], np.float64)
             start |= {
-                "light_polar": _degrees(math.atan2(math.hypot(x, y), -z)),
-                "light_azimuth": _degrees(math.atan2(y, x)),
+                "light_polar": in_degrees(math.atan2(math.hypot(x, y), -z)),
+                "light_azimuth": in_degrees(math.atan2(y, x)),
                 "irradiance": float(scene.lights.irradiance[0]),
             }
         return start
@@ -253,7 +254,3 @@ _projected = eqx.filter_jit(project)
 @eqx.filter_jit
 def _encoded(picture: Array, exposure: Array) -> Array:
     return jnp.asarray(255 * jnp.clip(srgb_encode(exposure * picture), 0, 1) + 0.5, jnp.uint8)
-
-
-def _degrees(angle: Array | float) -> float:
-    return round(math.degrees(float(angle)), 4)
