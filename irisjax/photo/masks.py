@@ -21,6 +21,7 @@ _NORMAL = 1 / 1.4826  # median absolute deviation over standard deviation of a n
 _SEEN_AROUND = 1.35  # semi-axes of the limbus within which lashes begin
 # Contrast of lashes: 99 % of the textures of simulated irides stay below 0.29.
 _LASH_CLEAR = 0.15, 0.35
+_DIRECTIONS = 8  # of lines along circles
 # Lids:
 _UNLIKE_IRIS = 3.0  # differences in units of the usual scatter
 # Brightness, red against blue, green against both.
@@ -255,24 +256,24 @@ def find_lashes(pixels: Colours, limbus: Ellipse, lids: Mask) -> Mask:
     lids.
 
     Fibres and furrows of the iris end at the limbus and vessels of the white are faint, so a streak
-    that is as clear outside as inside lies in front.
+    that is as clear outside as inside lies in front. The dark ring of a limbus runs along it.
     """
     part, radius, small = _around_limbus(pixels, limbus)
     encoded = _encoded(small @ LUMINANCE_WEIGHTS)
-    disk = morphology.disk(max(2, round(0.02 * max(radius.shape))))
+    reach = max(2, round(0.02 * max(radius.shape)))
     found = np.zeros(radius.shape, bool)
     near, within = radius < _SEEN_AROUND, radius < 1
     hidden = part.reduced(lids) > 0.5
-    reach = _grown(hidden, 4)
+    beside = _grown(hidden, 4)
 
     def crosses(region, at):
         return radius[at].min() < 0.95 and radius[at].max() > 1.12 and _long(region)
 
     def hangs(region, at):
-        return reach[at].any() and _long(region)
+        return beside[at].any() and _long(region)
 
-    dark = np.asarray(ndimage.black_tophat(encoded, footprint=disk))
-    for streak in (dark, np.asarray(ndimage.white_tophat(encoded, footprint=disk))):
+    dark, bright = (_across_circles(v, part.small(limbus), reach) for v in (encoded, -encoded))
+    for streak in (dark, bright):
         # In units of what fibres, or vessels and skin, usually reach.
         usual = np.where(within, _usual(streak[within]), _usual(streak[near & ~within]))
         clear = filters.apply_hysteresis_threshold(near * streak / usual, 1.0, 1.5)
@@ -472,6 +473,24 @@ def _best_level(score: np.ndarray, above: np.ndarray) -> tuple[float, Mask]:
     sums = np.bincount(level.ravel(), score.ravel(), 151)[::-1].cumsum()[::-1]
     best = 1 + int(np.argmax(sums[1:]))
     return float(sums[best]), level >= best
+
+
+def _across_circles(values: np.ndarray, middle: np.ndarray, reach: int) -> np.ndarray:
+    """How much lower values are than those on both sides, up to `reach` pixels away along circles
+    about a middle (column, row): a streak along a circle is none.
+    """
+    row, column = np.indices(values.shape)
+    along = np.arctan2(row - middle[1], column - middle[0]) + np.pi / 2
+    nearest = np.round(along / np.pi * _DIRECTIONS).astype(int) % _DIRECTIONS
+    found = np.zeros_like(values)
+    for k in range(_DIRECTIONS):
+        angle, line = np.pi * k / _DIRECTIONS, np.zeros((2 * reach + 1,) * 2, bool)
+        step = np.linspace(-reach, reach, 4 * reach + 1)
+        at = [np.rint(reach + step * f(angle)).astype(int) for f in (np.sin, np.cos)]
+        line[tuple(at)] = True
+        low = np.asarray(ndimage.black_tophat(values, footprint=line))
+        found = np.where(nearest == k, low, found)
+    return found
 
 
 def _usual(streak: np.ndarray) -> float:

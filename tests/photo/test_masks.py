@@ -99,6 +99,17 @@ def test_lashes_that_cross_the_limbus_are_found(grey):
     assert (found & RING).sum() < 6 * (drawn & RING).sum()
 
 
+def test_a_dark_ring_along_the_limbus_is_no_lash():
+    """It hangs from the lid on both sides, as thin and dark as a lash that crosses it."""
+    pixels, radius = _eye(), LIMBUS.relative_radius(COLUMN, ROW)
+    pixels *= 1 - 0.6 * np.exp(-(((radius - 0.95) / 0.03) ** 2))[..., None]
+    drawn, lid = _lashes(), RING & (ROW < 95)
+    pixels[drawn] = 0.006
+    found = find_lashes(pixels, LIMBUS, lid) & RING
+    assert found[drawn & RING & (ROW > 95) & (ROW < 112)].mean() > 0.8
+    assert not found[ROW > 150].any()
+
+
 @pytest.mark.parametrize("grey", [False, True])
 def test_a_lid_over_the_iris_is_found(grey):
     pixels = _eye(grey)
