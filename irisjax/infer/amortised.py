@@ -27,7 +27,7 @@ from scipy import stats
 from scipy.stats import qmc
 
 from irisjax._types import PRNGKey
-from irisjax.infer.importance import Start
+from irisjax.infer.importance import Start, resampled
 from irisjax.infer.observation import with_values
 from irisjax.infer.pixels import Each, fit_pixels, prior_starts
 from irisjax.infer.posterior import sample
@@ -94,9 +94,7 @@ class Weighted(NamedTuple):
     def equal(self, i: int, count: int, *, key: PRNGKey) -> Float[np.ndarray, "count free"]:
         """Return draws of equal weight of one spectrum, by systematic resampling."""
         random = np.random.default_rng([*words_of(key), i])
-        at = (random.random() + np.arange(count)) / count
-        total = np.cumsum(self.weights[i])
-        return self.z[i][np.minimum(np.searchsorted(total, at * total[-1]), len(total) - 1)]
+        return self.z[i][resampled(self.weights[i], count, random)]
 
 
 def train_flow(

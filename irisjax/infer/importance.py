@@ -101,7 +101,7 @@ def importance_sample(
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
         effective = _effective(log_weight, 1.0)
         power = tempered(log_weight)
-        samples = z[resampled(log_weight, power, random)]
+        samples = z[resampled(np.exp(power * (log_weight - log_weight.max())), DRAWS, random)]
         if effective >= EFFECTIVE or len(proposals) == ROUNDS:
             break
         straight = Straightening.of_samples(samples)
@@ -162,9 +162,11 @@ def tempered(log_weight: Float[np.ndarray, " n"]) -> float:
 
 
 def resampled(
-    log_weight: Float[np.ndarray, " n"], power: float, random: np.random.RandomState
-) -> Int[np.ndarray, " draws"]:
-    """Return the indices of `DRAWS` draws by systematic resampling [Carpenter et al. 1999]."""
-    w = np.exp(power * (log_weight - log_weight.max()))
-    at = (random.random_sample() + np.arange(DRAWS)) * (w.sum() / DRAWS)
-    return np.minimum(np.searchsorted(np.cumsum(w), at), w.size - 1)
+    weights: Float[np.ndarray, " n"],
+    count: int,
+    random: np.random.RandomState | np.random.Generator,
+) -> Int[np.ndarray, " count"]:
+    """Return the indices of draws by systematic resampling [Carpenter et al. 1999]."""
+    total = np.cumsum(weights)
+    at = (random.random() + np.arange(count)) * (total[-1] / count)
+    return np.minimum(np.searchsorted(total, at), total.size - 1)

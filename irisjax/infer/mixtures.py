@@ -35,7 +35,6 @@ class Mixture(NamedTuple):
         draws: Float[np.ndarray, "draws free"],
         components: int,
         random: np.random.RandomState,
-        steps: int = 20,
     ) -> "Mixture":
         """Fit a mixture to draws of equal weight."""
         count, free = draws.shape
@@ -45,7 +44,7 @@ class Mixture(NamedTuple):
             draws[random.choice(count, components, replace=False)],
             np.repeat(whole / components ** (2 / free), components, axis=0),
         )
-        return first.refined(draws, np.full(count, 1 / count), steps)
+        return first.refined(draws, np.full(count, 1 / count), 20)
 
     def refined(
         self,
@@ -130,7 +129,7 @@ def mixture_sample(
         weights = np.exp(log_weight - log_weight.max())
         effective = float(weights.sum() ** 2 / (weights**2).sum())
         if effective >= EFFECTIVE or len(proposals) == _ROUNDS:
-            return z[resampled(log_weight, 1.0, random)], effective
+            return z[resampled(weights, DRAWS, random)], effective
         weights = weights ** tempered(log_weight)
         weights /= weights.sum()
         kept = weights > 1e-3 / len(weights)

@@ -106,8 +106,7 @@ class Problem(eqx.Module):
 
     def natural(self, z: _Z) -> _Z:
         """Return the values of the free parameters as a vector."""
-        values = self.values(z)
-        return jnp.stack([values[n] for n in self.free])
+        return jnp.stack([p.value(z[i]) for i, p in enumerate(self.priors)])
 
     def reported(self, z: _Z) -> dict[str, Any]:
         """Return free and derived parameters by name, for each observation that has its own."""
