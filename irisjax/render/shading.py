@@ -14,7 +14,7 @@ from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import bilinear, polar_bilinear, smoothstep
-from irisjax.numerics.roots import safe_sqrt
+from irisjax.numerics.roots import safe_sqrt, share_of
 from irisjax.optics.conicoid import Parts, dot, from_axis, joined, norm, parts
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.illumination import Illumination, near_light
@@ -102,9 +102,7 @@ def field_of(
     total = jax.lax.scan(add, zero, jnp.arange(len(lights)))[0]
     if not relief:
         return total
-    across, hidden = total[:, 3:4], total[:, 4:]
-    lit = across > 0
-    return total[:, :4].at[:, 3:].set(jnp.where(lit, hidden / jnp.where(lit, across, 1.0), 0.0))
+    return total[:, :4].at[:, 3:].set(share_of(total[:, 4:], total[:, 3:4], 0.0))
 
 
 @eqx.filter_jit

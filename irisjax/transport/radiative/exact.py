@@ -8,6 +8,7 @@ invariant: all mirror images are one geometric series. The cost is linear in ang
 1960, Sections 10, 16]
 """
 
+import dataclasses
 from functools import partial
 
 import equinox as eqx
@@ -76,7 +77,7 @@ class RadiativeExact(AbstractSolver):
             return self
         slant = _steepness(layers, light) if is_known(light) else 1.0
         panels = resolution.panels_for(layers, self.n_depths, slant)
-        return RadiativeExact(self.n_angles, self.n_depths, panels, process=self.process)
+        return dataclasses.replace(self, n_panels=panels)
 
     @full_precision
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
@@ -85,23 +86,19 @@ class RadiativeExact(AbstractSolver):
         if self.process.polarised:
             flux, polarisation = solve_polarised(layers, light, self.n_angles, how)
         else:
-            flux = _solve(layers, light, self.n_angles, how)
+            lit = beams_and_exits(layers, light, 2 * self.n_angles)
+            flux = laid_out(
+                jax.vmap(partial(_one_wavelength, how=how), (0, 0, 0, 0, 0, None, None)),
+                layers.extinction,
+                *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
+                *(layers.ipe_absorption, quadrature_nodes(layers, self.n_angles), lit),
+            )
         resolved = resolution.depths_resolved(layers, light, *how)
         return flux.solution(resolution.status_of(layers, resolved), polarisation=polarisation)
 
 
 # One program: operation by operation it takes a tenth of a spectrum's time.
 _steepness = jax.jit(resolution.steepness)
-
-
-def _solve(layers: Layers, light: Light, n_angles: int, how: tuple[int, int]) -> Flux:
-    lit = beams_and_exits(layers, light, 2 * n_angles)
-    return laid_out(
-        jax.vmap(partial(_one_wavelength, how=how), (0, 0, 0, 0, 0, None, None)),
-        layers.extinction,
-        *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
-        *(layers.ipe_absorption, quadrature_nodes(layers, n_angles), lit),
-    )
 
 
 def _one_wavelength(
