@@ -70,7 +70,10 @@ def clone_many(
             bar.set_description("photographs", refresh=False)
             bar.update()
     labels = {f"{name}: {table.rows[name]['status']}": folders[name] for name in photographs}
-    shown = {words: _picture_in(folder) for words, folder in labels.items()}
+    shown = {
+        words: next(filter(Path.exists, (folder / name for name in _SHOWN)), None)
+        for words, folder in labels.items()
+    }
     io.write_together({results.output / CONTACT_SHEET: encode_contact_sheet(shown)})
     print(f"written: {target}, {results.output / CONTACT_SHEET}")
     return table.conclude()
@@ -115,10 +118,6 @@ def _folders(names: Iterable[str]) -> dict[str, str]:
     """A folder for each file, with its suffix where several files differ in nothing else."""
     stems = [Path(name).stem for name in names]
     return {n: s if stems.count(s) == 1 else n for n, s in zip(names, stems, strict=True)}
-
-
-def _picture_in(folder: Path) -> Path | None:
-    return next((folder / name for name in _SHOWN if (folder / name).exists()), None)
 
 
 def _first(*cells: str) -> EyeRow:

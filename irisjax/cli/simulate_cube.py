@@ -57,15 +57,17 @@ def simulate_cube_command(
     check_folder(folder, "cube.hdr", "a cube", cube.overwrite)
     eye, rules = model.modelled(iris, process)
     grid, key = light.wavelengths.values, opt.key_of(light.seed)
-    truth, inside = _truth(eye, size, key)
+    middle, row, column = (size - 1) / 2, *np.mgrid[:size, :size]
+    away = np.hypot(row - middle, column - middle) / size
+    around = np.arctan2(middle - row, column - middle) % (2 * np.pi)
+    inside = (away > _PUPIL) & (away < _LIMBUS)
+    truth = _truth(eye, away, around, key)
     blank = ij.spectrum(grid, np.zeros(grid.size), **light.before_the_iris())
     levels = np.float64(light.relative_noise), np.float64(light.absolute_noise)
     varied = (*_VARIED, "scattering_scale")
     problem = ij.problem(blank, free=varied, fixed={"gain": light.gain}, base=eye, process=rules)
     with ThreadPoolExecutor(2) as pool:
         spectra = predict_pixels(problem, {n: truth[n][inside] for n in varied}, pool.map)
-    middle, row, column = (size - 1) / 2, *np.mgrid[:size, :size]
-    away = np.hypot(row - middle, column - middle) / size
     values = np.where((away < _PUPIL)[..., None], _INSIDE, np.full(grid.size, _OUTSIDE))
     values[inside] = spectra
     random = np.random.default_rng([light.seed, 1])
@@ -112,14 +114,13 @@ def simulate_cube_command(
     )
 
 
-def _truth(iris: ij.Iris, size: int, key: jax.Array) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    """Parameters of an inversion at every pixel, and the pixels that show the iris."""
+def _truth(iris: ij.Iris, away: np.ndarray, around: np.ndarray, key: jax.Array):
+    """Parameters of an inversion at pixels this far from the pupil's middle, over the width of the
+    cube, and at these angles.
+    """
     eye = Eye(pupil_radius=jnp.asarray(5.5 * _PUPIL / _LIMBUS))
     maps = procedural(iris, eye, shape=(768, 128), heterochromia=1.0, freckles=4, abl=0.5, key=key)
-    middle, row, column = (size - 1) / 2, *np.mgrid[:size, :size]
-    away = np.hypot(row - middle, column - middle) / size
-    angle = jnp.asarray(np.arctan2(middle - row, column - middle) % (2 * np.pi))
-    radius = jnp.asarray((away - _PUPIL) / (_LIMBUS - _PUPIL))
+    angle, radius = jnp.asarray(around), jnp.asarray((away - _PUPIL) / (_LIMBUS - _PUPIL))
 
     def at(texture):
         return 1.0 if texture is None else np.asarray(polar_bilinear(texture, angle, radius))
@@ -145,8 +146,7 @@ def _truth(iris: ij.Iris, size: int, key: jax.Array) -> tuple[dict[str, np.ndarr
         "saturation": odds / (1 + odds),
         "scattering_scale": known["scattering_scale"] * stroma,
     }
-    inside = (away > _PUPIL) & (away < _LIMBUS)
-    return {n: np.broadcast_to(v, inside.shape) for n, v in found.items()}, inside
+    return {n: np.broadcast_to(v, away.shape) for n, v in found.items()}
 
 
 def _listed(values) -> str:

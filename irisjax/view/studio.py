@@ -19,7 +19,7 @@ from irisjax.render.integrator import AbstractIntegrator
 from irisjax.render.integrators import INTEGRATORS, integrator_name
 from irisjax.render.picture import prepared_scene
 from irisjax.render.scene import Scene
-from irisjax.tissue.iris import Iris
+from irisjax.tissue.iris import BLOOD, Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.defaults import exact_solver
 from irisjax.transport.process import AbstractProcess
@@ -200,12 +200,10 @@ class Studio(Session[Settings]):
 
 
 def _pigments(iris: Iris) -> dict[str, float]:
-    total = float(iris.oxyhemoglobin + iris.deoxyhemoglobin)
     given = iris.parameters()
     return {
         **{name: given[name] for name in ("eumelanin", "pheomelanin", "abl_fraction")},
-        "hemoglobin": round(total, 6),
-        "saturation": round(float(iris.oxyhemoglobin) / total, 6) if total else 0.5,
+        **{name: round(float(getattr(iris, name)), 6) for name in BLOOD},
     }
 
 
