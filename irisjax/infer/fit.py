@@ -51,7 +51,8 @@ class Fit(eqx.Module):
         jacobian: Derivatives of the data's residuals by the values of the free parameters; zero for
             the noise, which is not fitted.
         covariance: (JᵀJ)⁻¹, with the priors' part where they count; zero for the noise.
-        values: The free parameters by name, which have the standard deviations `sd`.
+        values: The free parameters by name, in the order of the alphabet, where arrays have that of
+            `Problem.free`; their standard deviations are `sd`.
         predicted: What each instrument would read at the optimum, without noise.
         chi_square: Σ of squared residuals of the data alone.
         degrees: Its degrees of freedom: the data, less the free parameters without priors.
@@ -186,15 +187,14 @@ def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> 
     covariance = jnp.zeros((free, free), dtype).at[np.ix_(moving, moving)].set(best.covariance)
     jacobian = jnp.zeros((data.size, free), dtype).at[:, moving].set(best.jacobian[: data.size])
     z = placed(best.x)
-    # A value depends on its own coordinate only.
-    natural, slope = jax.jvp(lambda z: problem.natural(z), (z,), (jnp.ones_like(z),))
+    slope = problem.slopes(z)
     sd = jnp.abs(slope) * jnp.sqrt(jnp.diag(covariance))
     chi_square = (data**2).sum()
     degrees = data.size - (0 if use_priors else moving.size)
     # Chi-square means nothing for Student's t, which has outliers.
     judged = degrees > 0 and problem.noise.degrees_of_freedom is None
     limit = float(chdtri(degrees, MISFIT)) if judged else np.inf
-    values, sds = (dict(zip(problem.free, each, strict=True)) for each in (natural, sd))
+    values, sds = (dict(zip(problem.free, each, strict=True)) for each in (problem.natural(z), sd))
     status = _status(best, chi_square, limit, solved == RESULTS.successful)
     return Fit(
         z, jacobian / slope, covariance, values, sds, predicted, chi_square, degrees, best.cost,

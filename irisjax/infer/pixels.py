@@ -254,10 +254,9 @@ def _fitted(problem: Problem, rows: Any) -> dict[str, Any]:
         values, z = row
         mine = problem.with_observations(with_values(o, values))
         found: Fit = fit(mine, solver=solver, start=z, starts=1, max_steps=_STEPS)
-        _, slopes = jax.jvp(lambda z: problem.natural(z), (found.z,), (jnp.ones_like(z),))
         again = found.status == FitStatus.not_converged
         return {
-            "z": found.z, "values": problem.natural(found.z), "slopes": slopes,
+            "z": found.z, "values": problem.natural(found.z), "slopes": problem.slopes(found.z),
             "covariance": found.covariance, "predicted": found.predicted[0],
             "chi_square": found.chi_square / max(values.size, 1), "again": again,
             "converged": found.converged, "misfit": found.status == FitStatus.misfit,

@@ -108,6 +108,10 @@ class Problem(eqx.Module):
         """Return the values of the free parameters as a vector."""
         return jnp.stack([p.value(z[i]) for i, p in enumerate(self.priors)])
 
+    def slopes(self, z: _Z) -> _Z:
+        """Return the derivative of each free value by its own coordinate, the only one it has."""
+        return jax.jvp(lambda z: self.natural(z), (z,), (jnp.ones_like(z),))[1]
+
     def reported(self, z: _Z) -> dict[str, Any]:
         """Return free and derived parameters by name, for each observation that has its own."""
         values = self.values(z)
@@ -178,9 +182,7 @@ class Problem(eqx.Module):
 
     def log_priors(self, z: _Z) -> _Z:
         """Compute the log prior density of the value of each free parameter."""
-        # A value depends on its own coordinate only.
-        _, slope = jax.jvp(self.natural, (z,), (jnp.ones_like(z),))
-        return -0.5 * (z * z + np.log(2 * np.pi)) - jnp.log(jnp.abs(slope))
+        return -0.5 * (z * z + np.log(2 * np.pi)) - jnp.log(jnp.abs(self.slopes(z)))
 
     def unnamed(self) -> "Problem":
         """Return the problem without names of observations, so that files share one program."""
