@@ -53,11 +53,6 @@ class CosineRule(eqx.Module):
     widths: Float[AnyArray, " panels"]
     panels: Int[AnyArray, ""]
 
-    @property
-    def most_panels(self) -> int:
-        """Number of panels there can be."""
-        return self.starts.shape[0]
-
 
 @lru_cache(maxsize=64)
 def gauss_legendre(n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -41,7 +41,7 @@ def scattering_operator(rule: CosineRule) -> Float[Array, "n n"]:
         widths = jnp.where(chosen, widths[:panels], 1 / panels)
         return _product_integrated(starts, widths, n // panels, jnp)
 
-    more = [functools.partial(several, panels=p) for p in range(2, rule.most_panels + 1)]
+    more = [functools.partial(several, panels=p) for p in range(2, len(rule.starts) + 1)]
     # With one case this is that case, without a branch.
     return jax.lax.switch(rule.panels - 1, [one, *more], rule.starts, rule.widths)
 

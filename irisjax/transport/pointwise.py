@@ -50,9 +50,8 @@ def _solution(how, depths: Layers) -> tuple[Solution, Array | None]:
     solver, indices, light, key = how
     layers = eqx.tree_at(lambda each: each.indices, depths, indices, is_leaf=lambda x: x is None)
     found = solver.solve(layers, light, key=key)
-    if found.brdf is None:
-        return found, None
-    return dataclasses.replace(found, brdf=None), found.brdf.T
+    brdf = None if found.brdf is None else found.brdf.T
+    return dataclasses.replace(found, brdf=None), brdf
 
 
 @eqx.filter_custom_jvp
