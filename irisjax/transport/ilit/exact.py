@@ -18,6 +18,7 @@ from irisjax.transport.ilit.layers import (
     LayerFates,
     abl_responses,
     entry_weights,
+    lost_between,
     stroma_response,
     with_epithelium,
 )
@@ -73,12 +74,7 @@ def combine(
     """
     from_above, from_below, stroma = fates
     mirrored, entered = first_surface(light, layers.indices, layers.extinction.dtype)
-    # 1 − R_below R_stroma as a sum of losses, which does not cancel when little is lost.
-    lost = (stroma.passed + stroma.absorbed) + stroma.reflected * (
-        from_below.passed + from_below.absorbed
-    )
-    sealed = lost <= 0
-    into_stroma = entered * from_above.passed / jnp.where(sealed, 1.0, lost)
+    into_stroma = entered * from_above.passed / lost_between(from_below, stroma)
     up = into_stroma * stroma.reflected
     brdf = None
     if light.exits is not None:

@@ -143,6 +143,12 @@ def stroma_response(
     ), converged
 
 
+def lost_between(upper: LayerFates, lower: LayerFates) -> Spectrum:
+    """1 − R R' between two layers as a sum of losses, which does not cancel; 1 if there is none."""
+    lost = (lower.passed + lower.absorbed) + lower.reflected * (upper.passed + upper.absorbed)
+    return jnp.where(lost <= 0, 1.0, lost)
+
+
 def with_epithelium(
     stroma: LayerFates, layers: Layers, process: Ilit, n_angles: int
 ) -> tuple[LayerFates, Spectrum, Bool[Array, ""]]:
@@ -162,10 +168,7 @@ def with_epithelium(
     )
     upwards, converged = stroma_response(below, process, n_angles)
     kept = beyond.passed + beyond.absorbed
-    # 1 − R R' as a sum of losses.
-    lost = kept + beyond.reflected * (upwards.passed + upwards.absorbed)
-    sealed = lost <= 0
-    entered = stroma.passed / jnp.where(sealed, 1.0, lost)
+    entered = stroma.passed / lost_between(upwards, beyond)
     back = entered * beyond.reflected
     fates = LayerFates(
         reflected=stroma.reflected + back * upwards.passed,
