@@ -322,11 +322,8 @@ def _weighted(flow: PosteriorFlow, problem: Problem, base: Any, rows: Any) -> An
             return z, mine.log_posterior(z) - proposed
 
         z, logs = jax.lax.map(draw, base, batch_size=_DRAWS)
-        possible = jnp.isfinite(logs)
-        logs = jnp.where(possible, logs, -jnp.inf)
-        top = logs.max()
-        weights = jnp.exp(logs - jnp.where(jnp.isfinite(top), top, 0.0))
-        weights = weights / jnp.maximum(weights.sum(), 1e-300)
+        logs = jnp.where(jnp.isfinite(logs), logs, -jnp.inf)
+        weights = jnp.nan_to_num(jax.nn.softmax(logs))
         return z, weights, frame.oddness, (frame.oddness > flow.limits).any()
 
     return jax.lax.map(one, rows)

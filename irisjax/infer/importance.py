@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 from scipy import stats
 from scipy.optimize import brentq
+from scipy.special import softmax
 
 from irisjax.infer.moves import DEGREES, Proposal, Straightening
 
@@ -101,7 +102,7 @@ def importance_sample(
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
         effective = _effective(log_weight, 1.0)
         power = tempered(log_weight)
-        samples = z[resampled(np.exp(power * (log_weight - log_weight.max())), DRAWS, random)]
+        samples = z[resampled(softmax(power * log_weight), DRAWS, random)]
         if effective >= EFFECTIVE or len(proposals) == ROUNDS:
             break
         straight = Straightening.of_samples(samples)
@@ -122,8 +123,7 @@ def completed(
         values = log_density(line)
         covariance[i, i] = 1.0
         if np.isfinite(values).any():
-            weights = np.exp(values - values.max())
-            weights /= weights.sum()
+            weights = softmax(values)
             mean[i] = weights @ side
             # No narrower than the nodes are apart, between which the peak may lie.
             covariance[i, i] = weights @ (side - mean[i]) ** 2 + (side[1] - side[0]) ** 2

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import gammaln, logsumexp
+from scipy.special import gammaln, logsumexp, softmax
 
 from irisjax.infer.importance import DRAWS, EFFECTIVE, resampled, tempered
 from irisjax.infer.moves import DEGREES
@@ -126,11 +126,10 @@ def mixture_sample(
         values = np.concatenate([values, log_density(new)])
         log_weight = values - proposed
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
-        weights = np.exp(log_weight - log_weight.max())
-        effective = float(weights.sum() ** 2 / (weights**2).sum())
+        weights = softmax(log_weight)
+        effective = float(1 / (weights**2).sum())
         if effective >= EFFECTIVE or len(proposals) == _ROUNDS:
             return z[resampled(weights, DRAWS, random)], effective
-        weights = weights ** tempered(log_weight)
-        weights /= weights.sum()
+        weights = softmax(tempered(log_weight) * log_weight)
         kept = weights > 1e-3 / len(weights)
         proposals.append(proposals[-1].refined(z[kept], weights[kept], _REFINED))

@@ -14,7 +14,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from scipy.special import log_ndtr, ndtri_exp
+from scipy.special import log_ndtr, ndtri_exp, softmax
 from scipy.stats import norm
 
 from irisjax._types import PRNGKey
@@ -101,9 +101,8 @@ def population(
         # A mixture resolves no group narrower than half of the eye's own standard deviation.
         near = np.sqrt(typical**2 + 0.25 * draws.var(axis=1, keepdims=True))
         log = norm.logpdf(draws, middle, near) - norm.logpdf(draws, 0, width)
-        log = log.sum(axis=2)
-        weights = np.exp(log - log.max(axis=1, keepdims=True))
-        fewest = float((weights.sum(axis=1) ** 2 / (weights**2).sum(axis=1)).min())
+        weights = softmax(log.sum(axis=2), axis=1)
+        fewest = float(1 / (weights**2).sum(axis=1).max())
     return Population(mean, spread, 1 - own, found.effective, fewest)
 
 
