@@ -110,7 +110,7 @@ class Problem(eqx.Module):
 
     def slopes(self, z: _Z) -> _Z:
         """Return the derivative of each free value by its own coordinate, the only one it has."""
-        return jax.jvp(lambda z: self.natural(z), (z,), (jnp.ones_like(z),))[1]
+        return jax.jvp(self.natural, (z,), (jnp.ones_like(z),))[1]
 
     def reported(self, z: _Z) -> dict[str, Any]:
         """Return free and derived parameters by name, for each observation that has its own."""
