@@ -33,7 +33,7 @@ from irisjax.transport.radiative.directions import (
     from_outside,
     quadrature_nodes,
 )
-from irisjax.transport.radiative.orders import ScatteredFates, angular_profile, taken_of
+from irisjax.transport.radiative.orders import ScatteredFates, angular_profile, collided_share
 from irisjax.transport.radiative.slab import Bounded, Slab
 from irisjax.transport.radiative.tabulated import (
     DEEPEST,
@@ -200,7 +200,8 @@ def _exactly(function, points, outside, indices: RefractiveIndices, how: tuple[i
 def _first(points, outside, indices: RefractiveIndices) -> orders.Beam:
     layers = _layers_at(points, indices)
     beams = from_outside(layers, outside)
-    return jax.vmap(orders.before, (0, 0, None))(layers.abl_absorption, layers.extinction, beams)
+    depths = layers.abl_absorption, layers.extinction
+    return jax.vmap(orders.unscattered_beam, (0, 0, None))(*depths, beams)
 
 
 def _reflectance(points, outside, indices: RefractiveIndices, how: tuple[int, int]):
@@ -257,12 +258,12 @@ def multiple_scattering(
 ) -> jax.Array:
     """Radiance at the slab's top of light scattered twice and oftener, by azimuthal order, from and
     into directions `d`: shape (beams, exits, orders), over ω², what of each beam is lost to the
-    slab, and what it would `taken_of` each exit.
+    slab, and the `collided_share` of each exit.
 
     Of the orders 1 and 2 the factors f(μ_i) f(μ_o) are left out; `how`: polynomials and panels.
     """
     slab, found = Slab(depth, *how), []
-    taken = taken_of(abl, depth, d)
+    taken = collided_share(abl, depth, d)
     for mode in MODES:
         f = mode.functions(d.cosine) if mode.order == 0 else jnp.ones_like(d.cosine)[None]
         _, again = _scattered(slab, mode, abl, albedo, nodes, d, f)

@@ -37,8 +37,8 @@ from irisjax.transport.radiative.expansion import phase_matrices, series_value
 from irisjax.transport.radiative.orders import (
     AngularProfile,
     angular_profile,
-    before,
     single_scattering,
+    unscattered_beam,
     with_scattered,
 )
 from irisjax.transport.solution import Flux, Solution
@@ -136,7 +136,7 @@ def _one_wavelength(
     albedo, coalbedo = share_of(scattering, depth, 0.0), share_of(absorption, depth, 1.0)
     lit_by, seen = (angular_profile(abl, depth, d) for d in (beams, nodes))
     # Of all mirror images of the beams: radiance downwards at the top, upwards at the bottom.
-    unscattered = before(abl, depth, beams)
+    unscattered = unscattered_beam(abl, depth, beams)
     falling = power * unscattered.entered * lit_by.series / beams.cosine
     beamed = jnp.concatenate([falling, falling * lit_by.back])
     lines = Lines(

@@ -37,7 +37,7 @@ from irisjax.transport.radiative.directions import (
     parted,
     quadrature_nodes,
 )
-from irisjax.transport.radiative.orders import before, conserving_order
+from irisjax.transport.radiative.orders import conserving_order, unscattered_beam
 from irisjax.transport.radiative.polarised.exact import solve_polarised
 from irisjax.transport.radiative.slab import Slab
 from irisjax.transport.solution import Flux, Solution
@@ -112,7 +112,7 @@ def _one_wavelength(
     bounded = slab.bounded(everywhere.cosine, *boundaries(upper, everywhere))
     angle, beam, *exit_ = parted(bounded, nodes, beams, exits)
     upper, _, *upper_exit = parted(upper, nodes, beams, exits)
-    first = jax.tree.map(lambda x: x[None], before(abl, depth, beams))
+    first = jax.tree.map(lambda x: x[None], unscattered_beam(abl, depth, beams))
     entering = lit.power[None] * first.entered / beams.cosine[None]
 
     def equations(mode: Mode):

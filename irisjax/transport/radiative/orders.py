@@ -76,8 +76,8 @@ class ScatteredFates(NamedTuple):
     collisions: jax.Array
 
 
-def before(abl: jax.Array, depth: jax.Array, beams: Ordinates) -> Beam:
-    """`Beam` through an ABL and a stroma of these optical depths.
+def unscattered_beam(abl: jax.Array, depth: jax.Array, beams: Ordinates) -> Beam:
+    """Trace a `Beam` through an ABL and a stroma of these optical depths.
 
     The mirror images of both layers' faces are geometric series.
     """
@@ -214,7 +214,7 @@ def azimuthal(beam: Ordinates, exits: Ordinates, azimuth: jax.Array) -> jax.Arra
     return jnp.stack(rows)
 
 
-def taken_of(abl: jax.Array, depth: jax.Array, d: Ordinates) -> jax.Array:
+def collided_share(abl: jax.Array, depth: jax.Array, d: Ordinates) -> jax.Array:
     """Share of light along directions that the stroma absorbs or scatters, times (1 + τ)/τ."""
     profile = angular_profile(abl, depth, d)
     each = mean_survival(depth / d.cosine) / d.cosine

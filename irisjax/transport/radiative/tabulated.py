@@ -83,7 +83,7 @@ class RadiativeTabulated(AbstractSolver):
     def _flux(self, abl, depth, albedo, coalbedo, lit: BeamsAndExits) -> Flux:
         """Shares of the light, one value a wavelength."""
         power = lit.power
-        beam = jax.vmap(orders.before, (0, 0, None))(abl, depth, lit.beams)
+        beam = jax.vmap(orders.unscattered_beam, (0, 0, None))(abl, depth, lit.beams)
         after = self._after(abl, depth, coalbedo, lit.beams.cosine)
         first = beam.lost * albedo[:, None]
         # The fates are shares of one: what little the tables miss is shared out among the rest.
@@ -124,9 +124,9 @@ class RadiativeTabulated(AbstractSolver):
         found = jnp.einsum("efabz,bw,azw->wef", core, table.basis(1, at.depth), along)
 
         def one(abl, depth, albedo, found):
-            lost = orders.before(abl, depth, lit.beams).lost[0]
+            lost = orders.unscattered_beam(abl, depth, lit.beams).lost[0]
             angular = orders.azimuthal(lit.beams, exits, lit.azimuth)
-            taken = orders.taken_of(abl, depth, exits)
+            taken = orders.collided_share(abl, depth, exits)
             once = orders.single_scattering(abl, depth, albedo, lit.beams, exits, lit.azimuth)
             more = albedo**2 * lost * taken * (found.T * angular).sum(0)
             passed = orders.angular_profile(abl, depth, exits).abl.passed

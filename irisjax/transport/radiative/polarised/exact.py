@@ -23,7 +23,7 @@ from irisjax.transport.radiative.directions import (
     joined_sets,
     quadrature_nodes,
 )
-from irisjax.transport.radiative.orders import before, conserving_order
+from irisjax.transport.radiative.orders import conserving_order, unscattered_beam
 from irisjax.transport.radiative.polarised.interfaces import (
     Met,
     PolarisedOrdinates,
@@ -76,7 +76,7 @@ def _one_wavelength(
     nodes, beams, exits = (over_polarised(ipe, d) for d in (nodes, lit.beams, lit.exits))
     angle, beam, *exit_ = meet(slab, abl, nodes, beams, exits)
     # Of I_l and of I_r, (2, beams).
-    first = before(abl, depth, joined_sets(beams.p, beams.s))
+    first = unscattered_beam(abl, depth, joined_sets(beams.p, beams.s))
     first = jax.tree.map(lambda x: x.reshape(2, -1), first)
     entering = lit.power[None] * first.entered
     strengths = [albedo * jnp.asarray(mode.strength, albedo.dtype) for mode in modes]
