@@ -1,37 +1,49 @@
-"""The invented eye colours by ILIT and by radiative transfer: pigments found for the colours of
-photographed irides, the colours of the presets, and pictures; all simulated.
+"""The invented eye colours by ILIT and by radiative transfer: pigments with which a picture shows
+the iris, through the cornea and beside the white, in the colours of photographs; all simulated.
+
+The light is a studio; colours are those of the whole visible iris, without what the tear film
+mirrors, at the exposure that shows the white of the eye, in the mean, at its reflectance.
 """
 
-import dataclasses
 import functools
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import least_squares
 
 from experiments.common import RESULTS, start, write
-from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.eye import Eye, LimbalRing
 from irisjax.grow.presets import PHOTOGRAPHED_COLOURS, PRESETS
 from irisjax.io import write_png
+from irisjax.io.scenes import LIMBUS_WIDTH
 from irisjax.measure.colour import XYZ_TO_SRGB, lab_of, srgb_encode
 from irisjax.render.albedo import Matt
 from irisjax.render.bands import colour_bands
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.integrators import INTEGRATORS
-from irisjax.render.picture import illuminate, respond, shade, surroundings, texture
-from irisjax.render.project import project
+from irisjax.render.picture import (
+    exposure_of_white,
+    illuminate,
+    respond,
+    shade,
+    surroundings,
+    texture,
+)
+from irisjax.render.project import look, onto_picture
 from irisjax.render.scene import Scene
 from irisjax.tissue.maps import cell_centres
 
 MODELS = "separable", "radiative-transfer"
-CILIARY = 0.4, 0.9
-"""Between pupil (0) and root (1)."""
+LB06_SCATTERING = 0.26  # coefficient of LB06's stroma at 500 nm, 1/mm: Rayleigh's, so reduced
+WHITE = 0.6
+"""Reflectance of the white: at the exposure that shows it so, a white sheet beside it has 1."""
 FREE = {  # usual value, how far off costs as much as one standard deviation, bounds
     "eumelanin": (None, 1.5, (1e-3, 10.0)),
     "pheomelanin": (None, 1.5, (1e-3, 20.0)),
     "abl_fraction": (0.5, 0.3, (0.02, 0.98)),
-    "hemoglobin": (0.084, 0.5, (5e-4, 0.3)),
+    "hemoglobin": (0.084, 0.5, (5e-4, 0.45)),
     "scattering_scale": (1.0, 1.5, (1.0, 40.0)),
 }
 """All but the fraction are searched by their logarithms, in which their widths are."""
@@ -44,27 +56,75 @@ USUAL = {  # eumelanin and pheomelanin, mg/ml: the order of LB06's levels, and P
     "brown": (1.0, 0.5),
     "dark-brown": (2.0, 0.5),
 }
-BLOODLESS = {"blue": 0.002}
-"""Usual haemoglobin, mmol/l, of colours whose thick cords would be pink with more. Blood could
-raise their a* to the mean of the class, but no photographed blue iris has pink cords."""
-BRIGHT = 41.5
-"""L* of an iris that has about a tenth of the white's luminance in a picture: the cornea takes a
-sixth on both ways together, and refraction more."""
-INSIDE = {  # standard deviations of a* and b* within which a colour is as good as the mean
-    "brown": ((-0.8, 0.65), (-0.6, 0.7)),
-    "blue": ((-0.9, 0.75), (-0.95, 0.2)),
-    "green": ((-0.75, 0.65), (-0.65, 0.75)),
-}
-WIDE = (-0.65, 0.65), (-0.6, 0.65)  # of the others
-LEAST = {"blue": -0.45, "amber": -0.5, "brown": -0.3, "dark-brown": -0.3}
-"""Smallest L*, in standard deviations from the class's mean, of the colours that no usual pigments
-make as bright as `BRIGHT`."""
-DIM, MOST = -0.3, 0.7  # smallest and largest L* of the others, in the same unit
-STIFF = 20.0  # weight of a standard deviation beyond those
-STARTS = (1.5, 0.0), (3.0, 0.0), (2.3, -1.0), (2.3, 1.0)  # ln of scattering, of eumelanin's excess
+BLOODLESS = {"blue": 0.04}
+"""Usual haemoglobin, mmol/l, of colours whose thick cords would be pink with more."""
+INSIDE = np.array([(-0.75, 0.75), (-0.85, 0.85), (-0.85, 0.85)]).T
+"""Standard deviations of L*, a* and b* within which a colour is as good as the mean."""
+OVER_WHITE = 0.11, 0.33
+"""Luminance over the white's within which the same holds."""
+STIFF = 60.0  # weight of a standard deviation, or of a fifth of that luminance, beyond these
+STARTS = (2.0, -1.0), (3.4, 0.0), (3.4, -3.0)  # ln of scattering, of eumelanin's excess
+WIDTH = 12.6  # of the picture, mm
 _LOG = np.array([name != "abl_fraction" for name in FREE])
 _TO_XYZ = np.linalg.inv(XYZ_TO_SRGB)
 _TO_WHITE = _TO_XYZ / _TO_XYZ.sum(1, keepdims=True)  # relative to D65's white
+
+
+class Seen(NamedTuple):
+    """Colour of the visible iris in a picture, and its luminance over the white's mean."""
+
+    lab: tuple[float, ...]
+    over_white: float
+
+
+class Pictured(NamedTuple):
+    """An eye as a picture shows it, for many pigments of its iris.
+
+    Attributes:
+        scene: The scene; `view`, `texels` and `light` as of `render.picture`.
+        share: Of each pixel's light in the mean over the iris: what white covers does not count.
+        white: Luminance of the visible white, mean.
+    """
+
+    scene: Scene
+    view: Any
+    texels: Any
+    light: Any
+    share: np.ndarray
+    white: float
+
+    @classmethod
+    def of(cls, iris, maps, model, side, environment=None):
+        """See an eye that is grown for one of `MODELS`; by default in the studio."""
+        eye = Eye(limbal_ring=LimbalRing(), limbus_width=jnp.asarray(LIMBUS_WIDTH))
+        camera = Camera(size=(side, side), width=WIDTH)
+        parts = {"eye": eye, "lights": None, "integrator": INTEGRATORS[model]()}
+        parts["environment"] = Environment.studio() if environment is None else environment
+        scene = Scene(iris, maps, camera=camera, **parts)
+        view = look(eye, camera)
+        texels = texture(view, scene)
+        light = illuminate(view, texels, scene)
+        blend = onto_picture(view.sclera, np.asarray(view.sclera.share), (side, side)).ravel()
+        index = np.asarray(view.iris.index)
+        place = np.asarray(eye.relative_radius(np.hypot(*map(np.asarray, view.iris.point[:2]))))
+        seen = (index >= 0) & (place > 0) & (np.asarray(view.iris.share) > 0)
+        unmirrored = scene.replace(camera=Camera(size=(side, side), width=WIDTH, images=0.0))
+        white = np.asarray(surroundings(view, texels, unmirrored))[:, blend > 0.99]
+        share = seen / (seen @ (1 - blend[index]))
+        return cls(scene, view, texels, light, share, float(_TO_WHITE[1] @ white.mean(1)))
+
+    def seen(self, iris) -> Seen:
+        """Colour of the iris with these pigments."""
+        response = respond(self.scene.replace(iris=iris))
+        radiance = response.shade(self.view.iris, self.texels.iris, self.light.iris)
+        xyz = _TO_WHITE @ (np.asarray(radiance) @ self.share) / self.white
+        return Seen(tuple(map(float, lab_of(jnp.asarray(WHITE * xyz)))), float(xyz[1]))
+
+    def drawn(self, iris):
+        """The picture, whose brightest fifth of the white is shown at 0.6."""
+        response = respond(self.scene.replace(iris=iris))
+        picture = shade(self.view, self.texels, self.light, response)
+        return exposure_of_white(self.scene) * np.asarray(picture)
 
 
 def main(key, quick=False, out=RESULTS):
@@ -75,13 +135,20 @@ def main(key, quick=False, out=RESULTS):
     for model in MODELS[:1] if quick else MODELS:
         row = []
         for colour in colours:
-            found.append((colour, model, *search(colour, model, key, quick)))
-            integrator = INTEGRATORS[model]()
-            iris, maps = PRESETS[colour](Eye(), process=integrator.process, shape=shape, key=key)
-            seen, luminance = of_texels(iris, maps, integrator)
-            picture, over_white = drawn(iris, maps, integrator, 24 if quick else 240)
-            row.append(picture)
-            rows.append((colour, model, *seen, *_off(colour, seen), luminance, over_white))
+            process = INTEGRATORS[model]().process
+            iris, maps = PRESETS[colour](Eye(), process=process, shape=shape, key=key)
+            sides = (24, 24) if quick else (96, 240)
+            small, eye = (Pictured.of(iris, maps, model, side) for side in sides)
+            pigments = search(colour, iris, small, quick)
+            iris = iris.replace(**pigments)
+            row.append(eye.drawn(iris))
+            lab, over_white = eye.seen(iris)
+            scattering = float(iris.scattering_scale) * LB06_SCATTERING
+            found.append((colour, model, *pigments.values(), round(scattering, 2)))
+            off = off_class(colour, lab)
+            tissue = reflectance(iris, maps, model)
+            rows.append((colour, model, *lab, *off, over_white, tissue))
+            print(*found[-1], "off", *(f"{v:.2f}" for v in off), f"{over_white:.3f}", flush=True)
         sheet.append(np.concatenate(row, axis=1))
     out.mkdir(parents=True, exist_ok=True)
     encoded = np.asarray(srgb_encode(np.clip(np.concatenate(sheet), 0, 1)))
@@ -90,38 +157,41 @@ def main(key, quick=False, out=RESULTS):
     write(
         out / "eye_colours.csv",
         (
-            "simulated by irisjax; L*, a*, b* (D65, CIE 1931 2 degree, relative to white paper) of "
-            "the presets: area mean of the texels' reflectance over the ciliary zone, normal "
-            "incidence, without the first surface's mirror",
+            "simulated by irisjax; L*, a*, b* (D65, CIE 1931 2 degree) of the presets in a picture "
+            "in the studio: mean of the visible iris without what the tear film mirrors, exposed "
+            f"so that the mean of the visible white has a luminance of {WHITE:g}",
             "off_*: from the mean of the photographed class, in its standard deviations",
-            "luminance: relative to white paper; over_white: of the ciliary zone over that of the "
-            "white, in a picture in the studio, without what the tear film mirrors",
+            "over_white: luminance of the iris over that of the white, means; reflectance: "
+            "luminance of the tissue relative to white paper, normal incidence, area mean",
         ),
-        ("colour", "integrator", "L", "a", "b", "off_L", "off_a", "off_b", "luminance",
-         "over_white"),
+        ("colour", "integrator", "L", "a", "b", "off_L", "off_a", "off_b", "over_white",
+         "reflectance"),
         rows,
     )  # fmt: skip
     write(
         out / "eye_colours_pigments.csv",
         (
-            "pigments that the search finds for the presets' maps and photographed colours:",
-            "nearest to usual values inside the spread of the class; mg/ml, mmol/l",
+            "pigments of the presets, found for their maps and photographed colours: nearest to "
+            "usual values inside the spread of the class; mg/ml, mmol/l",
+            "scattering: reduced coefficient of the stroma at 500 nm, 1/mm",
         ),
-        ("colour", "integrator", *FREE, "off_L", "off_a", "off_b"),
+        ("colour", "integrator", *FREE, "scattering"),
         found,
     )
 
 
-def search(colour, model, key, quick=False):
+def search(colour, base, eye, quick=False):
     """Find the pigments and the strength of scattering of a preset.
 
+    Args:
+        colour: Name of the preset.
+        base: Its iris; all but `FREE` is kept.
+        eye: The eye in which it is seen.
+        quick: Few steps.
+
     Returns:
-        The values of `FREE`, and how far off their colour is.
+        The values of `FREE`, to three digits.
     """
-    integrator = INTEGRATORS[model]()
-    base, maps = PRESETS[colour](
-        Eye(), process=integrator.process, shape=(96 if quick else 192, 64), key=key
-    )
     others = {name: given[0] for name, given in FREE.items() if given[0] is not None}
     others["hemoglobin"] = BLOODLESS.get(colour, others["hemoglobin"])
     usual = np.array([*USUAL[colour], *others.values()])
@@ -130,20 +200,17 @@ def search(colour, model, key, quick=False):
     bounds[1, :2] = 3 * usual[:2]
     to_log = functools.partial(_where, np.log)
 
-    mean, sd = (values[0] for values in PHOTOGRAPHED_COLOURS[colour])
-    least = LEAST.get(colour, np.clip((BRIGHT - mean) / sd, DIM, MOST - 0.1))
-    allowed = np.array([(least, MOST), *INSIDE.get(colour, WIDE)]).T
-
     @functools.lru_cache(maxsize=4)
     def seen(values):
         named = dict(zip(FREE, _where(np.exp, np.array(values)), strict=True))
-        return _off(colour, of_texels(base.replace(**named), maps, integrator)[0])
+        lab, over_white = eye.seen(base.replace(**named))
+        return *off_class(colour, lab), over_white
 
     def cost(values):
-        off = np.array(seen(tuple(values)))
-        return np.concatenate(
-            [STIFF * (off - np.clip(off, *allowed)), (values - to_log(usual)) / width]
-        )
+        *off, over_white = seen(tuple(values))
+        beyond = 5 * (np.log(over_white) - np.clip(np.log(over_white), *np.log(OVER_WHITE)))
+        off = np.append(off - np.clip(off, *INSIDE), beyond)
+        return np.concatenate([STIFF * off, (values - to_log(usual)) / width])
 
     fits = []
     for scattering, eumelanin in STARTS[:1] if quick else STARTS:
@@ -155,40 +222,15 @@ def search(colour, model, key, quick=False):
             least_squares(cost, begin, bounds=to_log(bounds), diff_step=1e-3, max_nfev=most)
         )
     best = min(fits, key=lambda fit: fit.cost).x
-    return *map(float, _where(np.exp, best)), *seen(tuple(best))
+    return {name: float(f"{v:.3g}") for name, v in zip(FREE, _where(np.exp, best), strict=True)}
 
 
-def of_texels(iris, maps, integrator):
-    """Mean colour of the texels of the ciliary zone, by area, and their luminance."""
+def reflectance(iris, maps, model):
+    """Luminance of the texels' reflectance, mean by area."""
     eye = Eye()
-    albedo = np.asarray(Matt.of(iris, maps, eye, _bands(), integrator).albedo())
-    place = np.asarray(cell_centres(maps.shape)[1])
-    weight = np.asarray(eye.from_axis(place)) * (place > CILIARY[0]) * (place < CILIARY[1])
-    xyz = _TO_WHITE @ (albedo.mean(0).T @ weight / weight.sum())
-    return tuple(map(float, lab_of(jnp.asarray(xyz)))), float(xyz[1])
-
-
-def drawn(iris, maps, integrator, side):
-    """A picture of the eye in the studio, and its ciliary zone's luminance over the white's."""
-    eye, camera = Eye(), Camera(size=(side, side), width=12.6)
-    view, environment = project(eye, camera), Environment.studio()
-    parts = {"eye": eye, "lights": None, "environment": environment, "integrator": integrator}
-    scene = Scene(iris, maps, camera=camera, **parts)
-    texels = texture(view, scene)
-    lit = illuminate(view, texels, scene)
-    picture = np.asarray(shade(view, texels, lit, respond(scene)))
-    own = picture.reshape(-1, 3) - np.asarray(lit.surroundings).T
-    unmirrored = scene.replace(camera=dataclasses.replace(camera, images=0.0))
-    white = np.asarray(surroundings(view, texels, unmirrored)).T
-    place = np.asarray(eye.relative_radius(np.hypot(*map(np.asarray, view.iris.point[:2]))))
-    zone = (place > CILIARY[0]) & (place < CILIARY[1]) & (np.asarray(view.iris.share) > 0)
-    light = [(_TO_WHITE[1] @ part.mean(0)) for part in (own[zone], white[view.sclera.share > 0.99])]
-    return picture, float(light[0] / light[1])
-
-
-@functools.cache
-def _bands():
-    return colour_bands()
+    albedo = np.asarray(Matt.of(iris, maps, eye, colour_bands(), INTEGRATORS[model]()).albedo())
+    weight = np.asarray(eye.from_axis(cell_centres(maps.shape)[1]))
+    return float(_TO_WHITE[1] @ (albedo.mean(0).T @ weight / weight.sum()))
 
 
 def _where(function, values):
@@ -196,7 +238,8 @@ def _where(function, values):
     return np.where(_LOG, function(np.where(_LOG, values, 1.0)), values)
 
 
-def _off(colour, lab):
+def off_class(colour, lab):
+    """How far a colour is from the mean of its class, in standard deviations."""
     mean, sd = PHOTOGRAPHED_COLOURS[colour]
     return tuple(float(v) for v in (np.array(lab) - mean) / np.array(sd))
 

@@ -12,7 +12,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.common import RESULTS, start, write
-from experiments.eye_colours import CILIARY
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.presets import preset
 from irisjax.render.camera import Camera
@@ -34,6 +33,8 @@ HAZE = 10 ** (-2 * (0.016 + 21e8 / 560.0**4))
 """Share that the cornea's haze leaves of light on both ways, at 560 nm  [F09 Eq. 16]."""
 EYE = Eye(limbus_width=jnp.asarray(0.1))
 WIDTH = 12.6  # of the picture, mm
+CILIARY = 0.4, 0.9
+"""The ring looked at, between pupil (0) and root (1)."""
 
 
 def main(key, quick=False, out=RESULTS):

@@ -55,5 +55,5 @@ marks = [
 marks.append(plt.Line2D([], [], color="k", marker="D", mfc="w", ls="", ms=4, label="class, ±1 SD"))
 marks += [plt.Line2D([], [], color=c, lw=3, label=name) for name, c in COLOURS.items()]
 panels[0].legend(handles=marks, fontsize=7, ncols=2)
-figure.suptitle("Made-up eye colours by both models (simulated)", fontsize=10)
+figure.suptitle("Procedural eye colours in pictures, by both models (simulated)", fontsize=10)
 save(figure, "eye_colours")

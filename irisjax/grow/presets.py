@@ -21,7 +21,7 @@ PHOTOGRAPHED_COLOURS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "brown": ((35, 16, 17), (8, 8, 10)),
     "dark-brown": ((27, 8, 7), (8, 8, 10)),
 }
-"""Means and standard deviations of L*, a*, b* (D65, ciliary zone) that the presets aim at.
+"""Means and standard deviations of L*, a*, b* (D65, visible iris) that the presets aim at.
 
 Those of blue, green, hazel, amber and brown are of photographed irides (iori, 39 irides,
 uncalibrated cameras). Two are decided: grey is a pale iris of little chroma, as is one in a
@@ -30,14 +30,16 @@ brown's mean.
 """
 _FIELDS = "eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "scattering_scale"
 _SATURATION = 0.95
+# Of the stroma, mm, where LB06's is too thin for so bright and red a class.
+_THICKNESS = {"hazel": 0.35, "amber": 0.45, "brown": 0.35}
 _IRIDES = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.208, 0.0204, 0.509, 0.002, 3.01), (0.492, 0.0174, 0.156, 0.00186, 6.86)),
-    "grey": ((0.283, 0.037, 0.642, 0.097, 9.77), (0.296, 0.046, 0.657, 0.097, 18.2)),
-    "green": ((0.009, 0.823, 0.98, 0.019, 16.7), (0.027, 1.08, 0.98, 0.022, 35.6)),
-    "hazel": ((1.2, 0.46, 0.857, 0.3, 28.6), (0.515, 1.31, 0.713, 0.177, 29.0)),
-    "amber": ((0.221, 2.34, 0.567, 0.104, 40.0), (0.115, 1.44, 0.808, 0.189, 40.0)),
-    "brown": ((1.0, 0.515, 0.971, 0.3, 40.0), (0.636, 1.26, 0.883, 0.208, 40.0)),
-    "dark-brown": ((1.63, 0.497, 0.557, 0.092, 11.3), (1.36, 0.935, 0.6, 0.095, 18.9)),
+    "blue": ((0.104, 0.015, 0.497, 0.194, 8.39), (0.11, 0.0216, 0.48, 0.135, 15.5)),
+    "grey": ((0.101, 0.03, 0.502, 0.084, 8.92), (0.0984, 0.0299, 0.499, 0.0819, 16.8)),
+    "green": ((0.00545, 0.454, 0.98, 0.0119, 18.3), (0.0221, 0.602, 0.98, 0.0256, 33.8)),
+    "hazel": ((0.408, 0.711, 0.646, 0.206, 32.9), (0.196, 0.736, 0.591, 0.172, 31.4)),
+    "amber": ((0.0464, 0.779, 0.582, 0.23, 39.0), (0.0241, 0.735, 0.832, 0.0875, 37.1)),
+    "brown": ((0.156, 1.21, 0.721, 0.375, 38.7), (0.197, 0.599, 0.746, 0.279, 35.0)),
+    "dark-brown": ((1.25, 0.262, 0.459, 0.0787, 29.2), (0.756, 0.343, 0.478, 0.104, 31.8)),
 }
 _FEATURES: dict[str, dict[str, Any]] = {
     "blue": {"patches": 0.8, "furrows": 2},
@@ -64,17 +66,17 @@ def preset(
     `"brown"` or `"dark-brown"`.
 
     Pigments and the strength of scattering are not measured: `experiments/eye_colours.py` finds
-    them for each process so that the ciliary zone, with the preset's maps, has the colour of
-    photographed irides within one standard deviation (`PHOTOGRAPHED_COLOURS`), and but for dark
-    brown a tenth of the luminance of the white or more, by their reflectances. Among those that do
-    it takes the pigments nearest to usual ones and the weakest scattering: 3 to 40 times LB06's by
-    ILIT and 7 to 40 times by radiative transfer, where LB06's own makes every iris too dark. Blue
-    irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998, Exp. Eye
-    Res. 67, 293]. The redness of photographed irides takes more blood than LB06's 0.084 mmol/l, at
-    most 0.3, an eighth of pure blood; its saturation is 0.95, as in the choroid, where 0.5 would
-    take twice as much. Blue irides have next to none: their thick cords, which scatter most, would
-    be pink with it. Fibrils have LB06's radius, whose effect is that of the strength. Hazel and
-    green eyes are browner near the pupil, where their maps add eumelanin.
+    them for each process so that a picture in the studio shows the visible iris, through the cornea
+    and with the preset's maps, in the colour of photographed irides within one standard deviation
+    (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Among those
+    that do it takes the pigments nearest to usual ones and the weakest scattering: 8 to 39 times
+    LB06's by ILIT and 16 to 37 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
+    other soft tissues have. Hazel, brown and amber take a stroma of 0.35, 0.35 and 0.45 mm beside
+    it. Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
+    Exp. Eye Res. 67, 293]. The redness of photographed irides takes more blood than LB06's 0.084
+    mmol/l, at most 0.375, a sixth of pure blood; its saturation is 0.95, as in the choroid, where
+    0.5 would take twice as much. Fibrils have LB06's radius, whose effect is that of the strength.
+    Hazel and green eyes are browner near the pupil, where their maps add eumelanin.
 
     Args:
         colour: Name of the colour.
@@ -94,8 +96,12 @@ def preset(
     check_known("eye colour", colour, sorted(_IRIDES))
     ilit, radiative = _IRIDES[colour]
     chosen = dict(zip(_FIELDS, ilit if isinstance(process, Ilit) else radiative, strict=True))
-    iris = Iris().replace(saturation=_SATURATION, **chosen).replace(**dict(pigments or {}))
-    wanted = _FEATURES.get(colour, {}) | dict(features or {})
+    thickness = _THICKNESS.get(colour, 0.2855)
+    chosen |= {"saturation": _SATURATION, "stroma_thickness": thickness}
+    iris = Iris().replace(**chosen).replace(**dict(pigments or {}))
+    # The relief is a share of the thickness: as high as of the others.
+    wanted: dict[str, Any] = {"relief": 0.3 * 0.2855 / thickness}
+    wanted |= _FEATURES.get(colour, {}) | dict(features or {})
     return iris, procedural(iris, eye, shape=shape, **wanted, key=key)
 
 
