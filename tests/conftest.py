@@ -39,7 +39,6 @@ def pytest_configure(config):
     """Compiled programs are shared by all workers and later runs; `pytest --cache-clear` deletes
     them, unless the environment names another folder.
     """
-    _compile_quickly(config.option.markexpr)
     _share_context()
     config.option.loadscopereorder = False  # or workers begin with the files of most tests
     folder = os.environ.get("IRISJAX_TEST_PROGRAMS")
@@ -264,8 +263,12 @@ def _default_tier(config):
     return config.getini("addopts")[-1]
 
 
-def pytest_addoption(parser):
-    """`--compilations`: prints how many programs each file compiled."""
+def pytest_addoption(parser, pluginmanager):
+    """`--compilations`: prints how many programs each file compiled.
+
+    XLA reads its flags once: here, before a folder's `conftest.py` makes its first array.
+    """
+    _compile_quickly(pluginmanager.get_plugin("pytestconfig").known_args_namespace.markexpr)
     parser.addoption("--compilations", action="store_true", help="programs compiled by each file")
 
 
