@@ -17,7 +17,6 @@ import irisjax as ij
 
 # Cases of `parametrize` that are left to another tier: their neighbours find the same faults.
 slowly = functools.partial(pytest.param, marks=pytest.mark.slow)
-DOUBLE_FIRST = pytest.mark.parametrize("bits", [64, slowly(32)], ids=["f64", "f32"])
 
 LEVELS = ("low", "moderate", "high")
 GRID = ij.wavelengths(400, 700, 10)

@@ -1,7 +1,6 @@
 """Irides at the edges of the physics, and what must hold for their light."""
 
 import numpy as np
-import pytest
 
 import irisjax as ij
 from common import GRID
@@ -9,7 +8,6 @@ from irisjax.tissue.iris import LIMITS
 
 COSINES = (1.0, 0.3, 1e-6, 0.0)
 TINY = {64: 1e-12, 32: 1e-6}
-SWEEP = pytest.mark.slow
 
 BASE = ij.Iris.of_level("low")
 NUMBERS = tuple(n for n in LIMITS if n != "ipe_melanin")

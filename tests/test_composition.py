@@ -50,7 +50,7 @@ def test_an_iris_as_the_carry_of_a_scan():
     np.testing.assert_allclose(loads[1:], factors[:2], rtol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.peer
 def test_one_wavelength_at_a_time():
     grid = jnp.asarray(GRID)
     for measure in (ij.reflectance, ij.radiance):
@@ -143,7 +143,7 @@ def test_public_values_are_pytrees():
             np.testing.assert_array_equal(a, b, err_msg=name)
 
 
-@pytest.mark.slow  # half a minute of compiling
+@pytest.mark.peer
 def test_traced_or_known_radiative_transfer_is_the_same():
     def run(iris, solver):
         m = ij.reflectance(iris, GRID, solver=solver, throw=False)
@@ -175,18 +175,12 @@ def test_traced_or_known_ilit_is_the_same():
     np.testing.assert_allclose(traced(fields), known, rtol=1e-9)
 
 
-BASES = {
-    "no blood": {"oxyhemoglobin": 0.0, "deoxyhemoglobin": 0.0},
-    "no melanin": {"eumelanin": 0.0, "pheomelanin": 0.0},
-    "neither": {"oxyhemoglobin": 0.0, "deoxyhemoglobin": 0.0, "eumelanin": 0.0, "pheomelanin": 0.0},
-}
-
-
-@pytest.mark.parametrize("name", [slowly("no blood"), slowly("no melanin"), "neither"])
-def test_a_base_that_lacks_a_pigment(name):
+def test_a_base_without_pigments():
     grid = ij.wavelengths(420, 680, 20)
     data = ij.spectrum(grid, np.linspace(0.06, 0.02, 14), sd=np.full(14, 1e-3))
-    stated = ij.problem(data, base=ij.Iris().replace(**BASES[name]), solver=FEW)
+    none = ("eumelanin", "pheomelanin", "oxyhemoglobin", "deoxyhemoglobin")
+    base = ij.Iris().replace(**dict.fromkeys(none, 0.0))
+    stated = ij.problem(data, base=base, solver=FEW)
     z = jnp.zeros(len(stated.free))
     value, slope = quick_jit(lambda p, z: jax.value_and_grad(type(p).log_posterior, 1)(p, z))(
         stated, z
@@ -202,13 +196,20 @@ def test_a_base_that_lacks_a_pigment(name):
 _ON_FOUR = Path(__file__).parent / "on_four_devices.py"
 
 
-@pytest.fixture(scope="module")
-def on_four_devices():
-    """What `on_four_devices.py` found, by name: largest differences, and errors as text."""
+@pytest.mark.parametrize(
+    ("cases", "count"),
+    [
+        pytest.param(["exact: explicit", "radiative: explicit"], 2, marks=pytest.mark.peer),
+        slowly([""], 3 * 7 + 3),
+    ],
+    ids=["two", "all"],
+)
+def test_solvers_derivatives_and_photons_on_a_mesh(cases, count):
+    """Of the largest differences that `on_four_devices.py` prints by name; an error is a text."""
     flags = "--xla_force_host_platform_device_count=4 --xla_backend_optimization_level=0"
     environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "JAX_ENABLE_X64": "1"}
     done = subprocess.run(
-        [sys.executable, str(_ON_FOUR)],
+        [sys.executable, str(_ON_FOUR), *cases],
         env=environment,
         cwd=Path(ij.__file__).parent.parent,
         capture_output=True,
@@ -217,26 +218,8 @@ def on_four_devices():
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout.splitlines()[-1])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "how", ["shard_map over irides", "shard_map over wavelengths", "explicit mesh of irides"]
-)
-@pytest.mark.parametrize(
-    "solver", ["exact", "rayleigh", "retest", "tabulated", "radiative", "polarised", "monte carlo"]
-)
-def test_solvers_on_a_mesh(on_four_devices, solver, how):
-    difference = on_four_devices[f"{solver}: {how}"]
-    limit = 0.0 if solver == "monte carlo" else 1e-13
-    assert isinstance(difference, float), difference
-    assert difference <= limit
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("what", ["derivatives", "photons", "photons in a caller's sharding"])
-def test_derivatives_and_photons_on_a_mesh(on_four_devices, what):
-    difference = on_four_devices[what]
-    assert isinstance(difference, float), difference
-    assert difference <= (1e-12 if what == "derivatives" else 0.0)
+    found = json.loads(done.stdout.splitlines()[-1])
+    assert len(found) == count
+    for name, difference in found.items():
+        limit = {"photons": 0.0, "monte": 0.0, "derivatives": 1e-12}.get(name.split()[0], 1e-13)
+        assert isinstance(difference, float) and difference <= limit, (name, difference)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import exact, slowly
+from common import exact
 
 GRID = ij.wavelengths(400, 700, 1)
 
@@ -63,7 +63,7 @@ def test_range_between_levels():
     assert (np.diff(gap[200:]) < 0).all()
 
 
-@pytest.mark.parametrize("process", [ij.ILIT_2006, ij.ILIT_CORRECTED, slowly(ij.DEPTH_RESOLVED)])
+@pytest.mark.parametrize("process", [ij.ILIT_2006, ij.ILIT_CORRECTED])
 @pytest.mark.parametrize("fraction", [0.2, 0.5, 0.8])
 def test_more_melanin_is_darker(process, fraction):
     low, moderate, high = (

@@ -9,7 +9,7 @@ import pytest
 
 import irisjax as ij
 from common import PROCESSES, any_order, exact, layers, quick_jit
-from edges import BASE, COSINES, SWEEP, TINY, grazes
+from edges import BASE, COSINES, TINY, grazes
 
 pytestmark = pytest.mark.peer
 
@@ -45,15 +45,9 @@ def check(solution, bits):
     np.testing.assert_allclose(sum(parts), 1, rtol=0, atol=TINY[bits])
 
 
-FEW = np.flatnonzero(
-    np.isin(ABL, (0, 1e-6, 1e3)) & np.isin(ABSORPTION, DEPTHS[[0, 1, 5, 8]]) & np.isin(SCATTERING, DEPTHS[[0, 2, 5, 8]])
-)  # fmt: skip
-"""Depths that stand for all: none, hardly any, one, a million."""
-
-
-def run_grid(solver, chosen):
-    """All chosen depths as one spectrum, all media and cosines as a batch: one program."""
-    sets = [layers(ABL[chosen], ABSORPTION[chosen], SCATTERING[chosen], m) for m in MEDIA.values()]
+def run_grid(solver):
+    """All depths as one spectrum, all media and cosines as a batch: one program."""
+    sets = [layers(ABL, ABSORPTION, SCATTERING, m) for m in MEDIA.values()]
     # One static order for all: every critical angle possible.
     anything = ij.Layers(sets[0].abl_absorption, sets[0].stroma_absorption, sets[0].stroma_scattering,
                          jax.tree.map(lambda *n: jnp.stack(n), *[s.indices for s in sets]), type(sets[0].order)())  # fmt: skip
@@ -73,14 +67,10 @@ def run_grid(solver, chosen):
 
 
 @pytest.mark.parametrize(
-    ("name", "chosen"),
-    [
-        ("rayleigh-retest", FEW),
-        *(pytest.param(n, slice(None), marks=SWEEP) for n, p in PROCESSES.items() if p != ij.DEPTH_RESOLVED),
-    ],
-)  # fmt: skip
-def test_every_depth_index_and_incidence(name, chosen, bits):
-    for solution in run_grid(exact(PROCESSES[name], 16), chosen):
+    ("name", "bits"), [("lb06-redrawn", 64), ("rayleigh-retest", 64), ("rayleigh-retest", 32)]
+)
+def test_every_depth_index_and_incidence(name, bits):
+    for solution in run_grid(exact(PROCESSES[name], 16)):
         check(solution, bits)
         assert bool((solution.status == ij.RESULTS.successful).all())
 
@@ -88,10 +78,10 @@ def test_every_depth_index_and_incidence(name, chosen, bits):
 SHALLOW = np.flatnonzero(ABSORPTION + SCATTERING <= 2)
 
 
-@pytest.mark.parametrize("chosen", [SHALLOW[::11], pytest.param(SHALLOW, marks=SWEEP)])
 @pytest.mark.parametrize("media", MEDIA)
-def test_depth_resolved_shallow(media, chosen, bits):
-    made = any_order(layers(ABL[chosen], ABSORPTION[chosen], SCATTERING[chosen], MEDIA[media]))
+def test_depth_resolved_shallow(media, bits):
+    depths = (x[SHALLOW] for x in (ABL, ABSORPTION, SCATTERING))
+    made = any_order(layers(*depths, MEDIA[media]))
     for cosine in COSINES:
         solution = shallow(made, jnp.asarray(cosine, float))
         check(solution, bits)
@@ -110,18 +100,15 @@ def holds(absorption, scattering, bits):
     return absorption / total + 1 / np.maximum(total, 1) ** 2 >= (0 if bits == 64 else 2e-6)
 
 
-@SWEEP
-@pytest.mark.parametrize("media", ["iris", "all-equal", "guided-both"])
-def test_depth_resolved_at_every_depth(media, bits):
-    held = np.flatnonzero(holds(ABSORPTION, SCATTERING, bits))
-    made = layers(ABL[held], ABSORPTION[held], SCATTERING[held], MEDIA[media])
+@pytest.mark.slow
+def test_depth_resolved_at_every_depth():
+    made = layers(ABL, ABSORPTION, SCATTERING, MEDIA["guided-both"])
     solver = ij.RadiativeExact().prepare(made, ij.Light(1.0))
     solution = quick_jit(lambda x: solver.solve(x, ij.Light(1.0)))(made)
-    check(solution, bits)
+    check(solution, 64)
     assert bool(solution.status == ij.RESULTS.successful)
 
 
-@SWEEP
 def test_depth_resolved_deep(bits):
     """Twenty-two panels for an optical depth of a million; where single precision does not hold it,
     the status says so.
@@ -172,11 +159,10 @@ def test_monotonic(name):
     assert (np.diff(reflected(0.05, 0.1, steps, "all-equal")) > 0).all()
 
 
-@pytest.mark.parametrize("n", [4_000, pytest.param(100_000, marks=SWEEP)])
-def test_number_of_wavelengths(n):
+def test_number_of_wavelengths():
     """The last of many wavelengths, and the same wavelength throughout."""
     for solver, step in ((ij.IlitExact(12), 1), (ij.RadiativeExact(12, 6, 2), 20)):
-        grid = np.linspace(400, 700, n)[::step]
+        grid = np.linspace(400, 700, 4_000)[::step]
 
         @quick_jit
         def run(iris, grid, solver=solver):

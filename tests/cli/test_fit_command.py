@@ -282,7 +282,7 @@ def spectrum(tmp_path_factory):
     return path
 
 
-@pytest.mark.slow  # search and sampler are tests/infer's; here they compile for half a minute
+@pytest.mark.peer  # search and sampler are tests/infer's
 def test_one_eye_by_the_model_itself(irisjax, spectrum, tmp_path):
     folder = tmp_path / "out"
     arguments = ("fit", spectrum, "-o", folder, *FREE)

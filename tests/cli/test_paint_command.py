@@ -11,10 +11,9 @@ from refusals import one_line
 
 import irisjax as ij
 from irisjax.cli import paint as command
-from irisjax.io.images import read_image
 from irisjax.io.recipes import read_recipe
 from irisjax.io.scenes import read_scene
-from irisjax.ocularist import integrator, painting
+from irisjax.ocularist import painting
 from irisjax.ocularist.plan import Difference
 from irisjax.ocularist.tissue import Tissue
 from irisjax.tissue.maps import IrisMaps
@@ -192,29 +191,6 @@ def test_a_type_of_eye_has_the_papers_number_of_coats(irisjax, tmp_path, undrawn
     assert set(scene.maps.present()) == {"eumelanin", "pheomelanin", "stroma_depth"}
     meshes = {p.name for p in (tmp_path / "eye" / "meshes").glob("*.ply")}
     assert len(meshes) == 14 and {"01_base.ply", "cornea.ply", "white.ply"} < meshes
-
-
-@pytest.mark.slow
-def test_an_environment_lights_and_is_mirrored(irisjax, tmp_path, monkeypatch, one_coat):
-    """Of equal radiance all round: the pupil mirrors 2 to 3 % of it, and a lamp adds to it."""
-    monkeypatch.setattr(command, "_SMALL", (120, 90))
-    monkeypatch.setattr(painting, "_ENVIRONMENT_LIGHTS", 4)
-    monkeypatch.setattr(integrator, "SHADOW", 64)  # one coat casts no shadow
-    eyes = {}
-    for name, options in {
-        "round": ("--environment", "uniform"),
-        "both": ("--environment", "uniform", "--light", "30,0"),
-    }.items():
-        folder = tmp_path / name
-        status, _, err = irisjax("paint", one_coat, *SMALL, *options, "-o", folder)
-        assert status == 0, err
-        eyes[name] = read_image(folder / "eye.png", decode=True).pixels
-    pupil, iris = (
-        eyes["round"][45, columns].mean((0, 1)) for columns in (slice(56, 64), slice(80, 90))
-    )
-    assert 0.02 < pupil < 0.03
-    assert iris > 2 * pupil
-    assert (eyes["both"][45, 80:90] > eyes["round"][45, 80:90] + 0.01).all()
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 from refusals import one_line
 
 import irisjax as ij
-from irisjax.cli import measure, model
+from irisjax.cli import measure
 from irisjax.measure.polarimeter import PolarisedReading
 from irisjax.transport.solution import RESULTS, Absorbed
 
@@ -61,16 +61,6 @@ def test_a_polarised_file_runs_again_to_the_same_bytes(irisjax, quick, tmp_path)
     again = irisjax("spectrum", "--from", path)[1]
     assert again == path.read_text()
     assert "polarised: yes" in again
-
-
-@pytest.mark.slow
-def test_a_file_says_what_scalar_theory_leaves_out(irisjax, monkeypatch, printed):
-    def solver(process, iris=None, **how):
-        return ij.RadiativeExact(12, 6, 2, process=process)
-
-    monkeypatch.setattr(model, "exact_solver", solver)
-    _, out, _ = irisjax("spectrum", "--process", "depth-resolved", *GRID)
-    assert "values 0.4 to 0.6 % low" in printed(out).header["approximation"]
 
 
 @pytest.mark.parametrize(

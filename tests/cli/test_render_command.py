@@ -275,17 +275,15 @@ def test_nothing_half_written(irisjax, tmp_path, monkeypatch):
     assert len(list(tmp_path.iterdir())) == 2
 
 
-@pytest.mark.slow
-def test_presets_render(irisjax, tmp_path):
-    assert irisjax("render", "--preset", "hazel", "--size", "40x30", "-o", "eye.png")[0] == 0
-    picture = io.read_image(tmp_path / "eye.png").pixels
-    assert picture.shape == (30, 40, 3) and picture.max() > 0.3
-    # It has no lamp, only a studio.
-    said = ("--animate", "light", "--size", "8x6", "--frames", 2, "-o", "a.gif")
-    assert irisjax("render", "--preset", "hazel", *said)[0] == 0
+@pytest.mark.peer
+def test_a_lamp_goes_round_where_the_scene_has_a_studio_alone(irisjax, tmp_path):
+    said = ("--animate", "light", "--frames", 2, "--exposure", 8, "-o", "a.gif")
+    assert irisjax("render", scene(tmp_path, STUDIO), *said)[0] == 0
+    with Image.open("a.gif") as gif:
+        assert np.asarray(gif.convert("RGB")).max() > 50
 
 
-@pytest.mark.slow  # 6 s of compiling
+@pytest.mark.peer
 def test_spectral_layers_add_up_to_the_picture(irisjax, tmp_path):
     """81 layers under the colour-matching functions give the RGB picture, to the ten bands' own
     error.

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 from refusals import one_line
 
-from common import slowly
-
 DATA = Path(__file__).parents[2] / "data"
 F09_FIG_1 = (
     *("--abl-eumelanin-percent", "7.56", "--abl-pheomelanin-percent", "5.84"),
@@ -43,7 +41,7 @@ def test_a_file_runs_again_to_the_same_bytes(irisjax, quick, tmp_path, arguments
 _SPECTRA = sorted(p.stem for p in DATA.glob("spectra/*.csv"))
 
 
-@pytest.mark.parametrize("name", ["iris_low", _SPECTRA[0], *map(slowly, _SPECTRA[1:])])
+@pytest.mark.parametrize("name", ["iris_low", *_SPECTRA])
 def test_data_that_ship_run_again(irisjax, printed, name):
     """To the same settings and, platforms' last digits aside, to the same values."""
     path = DATA / ("." if name == "iris_low" else "spectra") / f"{name}.csv"

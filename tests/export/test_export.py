@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 import trimesh
-from handed_over import pixels, rgb, sector
+from handed_over import pixels, rgb
 
 import irisjax as ij
 from common import read_csv
@@ -59,31 +59,6 @@ def test_brdf_table_is_the_goniophotometers(bare):
     expected = np.stack([ij.colour_of(GRID, s).srgb_linear for s in np.asarray(spectra).T])
     found = np.stack([c[name][pick] for name in ("red", "green", "blue")], -1)
     np.testing.assert_allclose(found, expected, rtol=0.01)
-
-
-@pytest.mark.slow
-def test_error_of_a_matt_iris_by_plain_sums(bare):
-    """Largest error of the mean radiance within 50°, from the public BRDF of the two kinds of texel
-    there are.
-    """
-    scene, _, made = bare
-    grid, angle = ij.wavelengths(380, 780, 20), np.radians(np.arange(0, 51, 10.0))
-    # Area weights of the dark sector: its angles, and the ring of its outer half.
-    root, pupil = float(scene.eye.iris_radius), float(scene.eye.pupil_radius)
-    middle = (root + pupil) / 2
-    dark = (np.asarray(sector()) > 1).any(1).mean() * (root**2 - middle**2) / (root**2 - pupil**2)
-    brdf, flat = 0.0, 0.0
-    for weight, factor in ((1 - dark, 1.0), (dark, 20.0)):
-        iris = freckled(scene.iris, factor)
-
-        def to_rgb(spectrum):
-            return np.asarray(ij.colour_of(grid, spectrum).srgb_linear)
-
-        flat += weight * to_rgb(ij.reflectance(iris, grid, first_surface=False).values) / np.pi
-        values = ij.brdf(iris, grid, cos_incidence=1.0, cos_exit=np.cos(angle)).values
-        brdf += weight * np.stack([to_rgb(v) for v in values.T])
-    # The largest is along the normal.
-    np.testing.assert_allclose(made.error.most, (flat / brdf - 1)[0], atol=0.01)
 
 
 def test_files_go_together(bare):

@@ -185,7 +185,7 @@ def test_eye_behind_its_cornea(tmp_path, mi):
     assert (np.abs(off) < np.abs(made.error.most) + 0.02).all()
 
 
-@pytest.mark.slow  # 20 s of tables
+@pytest.mark.peer
 def test_lamps_before_a_cornea_keep_their_irradiance(tmp_path):
     lamps = ij.Lights.points([0.0, 0.0, -400.0], 2.0) + ij.Lights.distant(0.5, 0.0, radius=0.4)
     scene = ij.Scene(ij.Iris.of_level("low"), None, lights=lamps)

@@ -86,7 +86,7 @@ def test_thirty_irides_of_the_priors_are_all_found(problem, predict):
         assert int(found.agreeing) >= 2
 
 
-@pytest.mark.slow  # 15 s of compiling
+@pytest.mark.peer
 def test_most_probable_point_is_scipys(problem, measured):
     rng = np.random.default_rng(0)
     clean = measured("moderate").observations[0].values
@@ -118,7 +118,7 @@ def test_most_probable_point_is_scipys(problem, measured):
     np.testing.assert_allclose(again.z, found.z, atol=1e-5)
 
 
-@pytest.mark.slow  # 15 s of compiling
+@pytest.mark.peer
 def test_batches_are_single_fits(problem, measured):
     """Several starts, and rounds that some of the batch need and others do not."""
     clean = measured("low").observations[0].values
@@ -147,7 +147,7 @@ def test_normal_equations_solve_least_squares():
     np.testing.assert_allclose(found, np.linalg.lstsq(a, b, rcond=None)[0], rtol=1e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.peer
 def test_ridge_is_found_and_said(measured):
     """Load and fraction correlate at −0.9 or worse; their product is known better than either."""
     problem = measured("moderate")

@@ -29,7 +29,7 @@ def stated(noise=None, sd=None, solver=None, **options):
     return ij.problem(ij.spectrum(GRID, y, sd), noise=noise, solver=solver, **options)
 
 
-@pytest.mark.slow  # 15 s of compiling
+@pytest.mark.peer
 def test_prediction_is_the_spectrophotometer():
     """At the values of an iris it is `reflectance` times the gain; a radiance is `radiance`."""
     iris, how = ij.Iris.of_level("high"), {"solver": ij.IlitExact(16)}
@@ -45,7 +45,7 @@ def test_prediction_is_the_spectrophotometer():
     np.testing.assert_allclose(problem.predict(jnp.zeros(1))[0], wanted.values, rtol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.peer
 @pytest.mark.parametrize("quantity", ["XYZ", "Lab", "linear sRGB"])
 def test_colours_are_those_of_the_colorimeter(quantity):
     iris = ij.Iris.of_level("low")
@@ -148,7 +148,7 @@ def test_a_moving_average_correlates_what_it_averages():
         ij.problem(seen, noise=Noise(degrees_of_freedom=4.0), solver=BeerLambert())
 
 
-@pytest.mark.slow  # statistics
+@pytest.mark.peer
 def test_draws_have_the_stated_moments():
     keys, z = jax.random.split(jax.random.key(0), 20_000), jnp.zeros(1)
     for more in ({"discrepancy": 0.05, "length": 60.0}, {}, {"degrees_of_freedom": 6.0}):
@@ -295,7 +295,7 @@ def test_half_a_spectrum_is_refused(given):
         ij.spectrum(*given)
 
 
-@pytest.mark.slow  # 10 s of compiling
+@pytest.mark.peer
 def test_densities_and_fits_do_not_depend_on_the_pieces(monkeypatch):
     """Large problems are evaluated in pieces: the same numbers, in bounded memory."""
     values = ij.reflectance(ij.Iris(), GRID, solver=BeerLambert()).values

@@ -37,7 +37,7 @@ def test_spectral_exr_by_the_published_layout(tmp_path):
     np.testing.assert_array_equal(back.pixels[..., [back.channels.index(n) for n in names]], image)
 
 
-@pytest.mark.slow
+@pytest.mark.peer
 def test_colour_science_reads_the_spectral_layout(tmp_path):
     from colour.io import read_spectral_image_Fichet2021
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import quick_jit, slowly
+from common import quick_jit
 
 GRID = ij.wavelengths(400, 700, 10)
 SHORT = (450.0, 550.0, 650.0)
@@ -159,14 +159,13 @@ def test_colour_of_whole_numbers():
         jax.tree.map(np.testing.assert_array_equal, found, expected)
 
 
-@pytest.mark.parametrize("measure", [ij.reflectance, *map(slowly, (ij.radiance, ij.colour))])
-def test_wavelengths_in_whole_numbers(measure):
+def test_wavelengths_in_whole_numbers():
     whole = np.arange(400, 701, 20)
-    expected = measure(ij.Iris(), whole.astype(float), solver=FEW)
+    expected = ij.reflectance(ij.Iris(), whole.astype(float), solver=FEW)
     for grid in (whole, whole.tolist(), jnp.asarray(whole)):
-        found = measure(ij.Iris(), grid, solver=FEW)
+        found = ij.reflectance(ij.Iris(), grid, solver=FEW)
         jax.tree.map(np.testing.assert_array_equal, found, expected)
-    traced = quick_jit(lambda w: measure(ij.Iris(), w, solver=FEW))(whole)
+    traced = quick_jit(lambda w: ij.reflectance(ij.Iris(), w, solver=FEW))(whole)
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-9), traced, expected)
 
 
@@ -188,18 +187,16 @@ def test_one_program_for_every_kind_of_number():
         np.testing.assert_array_equal(v, values[0])
 
 
-@pytest.mark.parametrize("measure", [ij.reflectance, *map(slowly, (ij.radiance, ij.colour))])
-def test_failures_are_told_one_way(measure):
+def test_failures_are_told_one_way():
     iris = ij.Iris().replace(eumelanin=1e3, abl_fraction=0.0, scattering_scale=1e6)
     settings = {"solver": ij.RadiativeExact(8, 4, n_panels=1)}
-    grid = np.arange(400.0, 701.0, 20.0)  # a colour needs all of it
     with pytest.raises(ValueError, match="for the number of depth panels"):
-        measure(iris, grid, **settings)
-    told = measure(iris, grid, **settings, throw=False)
+        ij.reflectance(iris, SHORT, **settings)
+    told = ij.reflectance(iris, SHORT, **settings, throw=False)
     assert told.status == ij.RESULTS.under_resolved
 
 
-@pytest.mark.slow  # 15 s of compiling
+@pytest.mark.peer
 def test_diffuse_light_by_monte_carlo():
     iris = ij.Iris.of_level("low")
     for solver in (ij.IlitExact(), ij.RadiativeExact()):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from common import quick_jit, slowly
+from common import quick_jit
 from irisjax.numerics.quadrature import cosine_rule, gauss_legendre, graded
 from irisjax.optics.per_angle import averaged_kernel, scattering_operator
 
@@ -59,7 +59,6 @@ def test_kernel(mu, other, bits):
     [
         ((), 1e-10),
         ((0.0223,), 1e-10),
-        slowly((0.18, 0.0007), 1e-10),
         ((0.0223, -0.2), 1e-10),
         ((0.3, 0.3), 1e-10),
         ((1e-4, 0.9), 1e-9),  # as the docstring says of break points next to 0
@@ -76,16 +75,15 @@ def test_missing_breaks_are_one_panel():
     np.testing.assert_array_equal(found, program(0, found.shape[0])(jnp.zeros(0)))
 
 
-@pytest.mark.parametrize("breaks", [(0.0223,), slowly((0.18, 0.0007))])
-def test_single_precision(breaks, float32):
-    rule = rule_for(*breaks)
-    found = np.asarray(program(len(breaks))(jnp.asarray(breaks, float)))
+def test_single_precision(float32):
+    rule = rule_for(0.0223)
+    found = np.asarray(program(1)(jnp.asarray([0.0223])))
     assert found.dtype == np.float32
     np.testing.assert_allclose(found[::STEP], along_great_circles(rule), rtol=0, atol=1e-6)
 
 
 @pytest.mark.slow  # a minute of compiling
-def test_gradients_are_finite(bits):
+def test_gradients_are_finite():
     """In a batch, where every number of panels is worked out and one chosen."""
 
     def some(b):

@@ -7,7 +7,7 @@ import irisjax as ij
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
-from irisjax.render.picture import illuminate, respond, shade, surroundings, texture
+from irisjax.render.picture import surroundings, texture
 from irisjax.render.project import project
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
@@ -46,12 +46,6 @@ def ring(height, radii=24, angles=48):
     angle, radius = cell_centres((angles, radii))
     r = 0.25 + 5.25 * radius
     return height(r * jnp.cos(angle)[:, None], r * jnp.sin(angle)[:, None])
-
-
-def pictured(made, tables, view):
-    """The picture from a view that is given."""
-    texels = texture(view, made)
-    return shade(view, texels, illuminate(view, texels, made, tables), respond(made))
 
 
 def around(made, view=None):

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import slowly
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.anatomy.sclera import VeinMap
 from irisjax.measure.colour import tristimulus_matrix
@@ -34,16 +33,12 @@ WHITE = Eye(cornea=CLEAR)
 IRIS = ij.Iris.of_level("low")
 
 
-@pytest.mark.parametrize(
-    ("polar", "distance"),
-    [(0.5, 50.0)] + [slowly(*x) for x in ((0.0, 25.0), (0.0, 100.0), (1.0, 50.0))],
-)
-def test_near_lamp_on_the_iris(tables, polar, distance):
+def test_near_lamp_on_the_iris(tables):
     """Rays that part from the lamp itself, counted where they land."""
     k, area = disc(5.65, 200_000)
     radius, shape = float(CLEAR.anterior.radius), float(CLEAR.anterior.shape)
     entry = np.column_stack([k, (radius - np.sqrt(radius**2 - shape * (k**2).sum(1))) / shape])
-    lamp = distance * np.array([np.sin(polar), 0.0, -np.cos(polar)])
+    lamp = 50.0 * np.array([np.sin(0.5), 0.0, -np.cos(0.5)])
     way = lamp - entry
     length = np.linalg.norm(way, axis=1)
     traced = trace(EYE, k, way / length[:, None])
@@ -51,7 +46,7 @@ def test_near_lamp_on_the_iris(tables, polar, distance):
         np.where(traced.inside, traced.power, 0)
         * area
         * soft_edge(np.hypot(*k.T), 5.5)
-        * (distance / length) ** 2
+        * (50.0 / length) ** 2
     )
     field = shading.fluxes_of(Lights.points(lamp, 1.0), EYE, tables)[0]
     line = np.linspace(-1, 1, field.shape[-1]) * float(EYE.iris_radius)
@@ -60,7 +55,7 @@ def test_near_lamp_on_the_iris(tables, polar, distance):
         landed = np.hypot(traced.point[:, 0] - place[0], traced.point[:, 1] - place[1]) < 0.8
         true = power[landed].sum() / (np.pi * 0.8**2)
         found = np.asarray(field[2])[np.hypot(x - place[0], y - place[1]) < 0.8].mean()
-        # 3,000 rays a place, evenly spread: 0.5 %; the tables' own error at 1 rad is 1 %.
+        # 3,000 rays a place, evenly spread: 0.5 %, and the tables' own error.
         assert found == pytest.approx(true, rel=0.015), place
 
 
@@ -127,7 +122,7 @@ def test_near_lamp_on_the_white():
     assert lit(both, normal, point) == pytest.approx(expected + far, rel=1e-9)
 
 
-@pytest.mark.slow  # half a minute of compiling
+@pytest.mark.peer
 def test_near_lamp_is_mirrored_where_it_stands(tables):
     """Where a line of sight, mirrored by hand on the cornea's conicoid,
     points at the lamp itself.
@@ -159,7 +154,7 @@ def test_near_lamp_is_mirrored_where_it_stands(tables):
     )
 
 
-@pytest.mark.slow  # 10 s of compiling
+@pytest.mark.peer
 def test_white_in_an_even_room(tables):
     """All of the room lights it, that behind the eye too: seen from the side where the iris is not
     lit from.
@@ -190,7 +185,7 @@ def test_white_in_an_even_room(tables):
     )
 
 
-@pytest.mark.slow  # 10 s of compiling
+@pytest.mark.peer
 def test_vessels_have_their_colours_of_81_wavelengths():
     """The picture in RGB and the one of all wavelengths, weighed."""
     drawn = VeinMap(*(jnp.full((4, 4), v) for v in (0.035, 0.9, 0.3)))
@@ -204,7 +199,7 @@ def test_vessels_have_their_colours_of_81_wavelengths():
     np.testing.assert_allclose(around(made)[:, index], weights / power @ spectral, atol=2e-4)
 
 
-@pytest.mark.slow  # 15 s of searching another eye's table
+@pytest.mark.peer
 def test_cone_is_lit_alike_by_both_tables():
     """Counted rays and searched ones at the angle where one gives way to the other; cells of a cone
     are longer.

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from common import DOUBLE_FIRST
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.optics.conicoid import joined
 from irisjax.render.camera import Camera
@@ -26,9 +25,8 @@ def filled(*points):
     return jnp.asarray([*points, *[points[-1]] * (SIZE[0] * SIZE[1] - len(points))])
 
 
-@DOUBLE_FIRST
 @pytest.mark.parametrize(("polar", "distance"), [(0.0, 250.0), (0.6, 60.0), (1.2, 1e4)])
-def test_pixels_return(polar, distance, bits):
+def test_pixels_return(polar, distance):
     """A pixel's point of the iris and of the white appears in that pixel."""
     eye, camera = Eye(), Camera(polar, 0.8, distance, 24.0, SIZE)
     view = there(eye, camera)
@@ -36,14 +34,13 @@ def test_pixels_return(polar, distance, bits):
     assert seen.sum() > 15
     found = back(eye, camera, joined(view.iris.point))
     assert np.asarray(found.visible)[seen].all()
-    close = 1e-6 if bits == 64 else 2e-3
-    np.testing.assert_allclose(np.asarray(found.column)[seen], COLUMN[seen], atol=close)
-    np.testing.assert_allclose(np.asarray(found.row)[seen], ROW[seen], atol=close)
+    np.testing.assert_allclose(np.asarray(found.column)[seen], COLUMN[seen], atol=1e-6)
+    np.testing.assert_allclose(np.asarray(found.row)[seen], ROW[seen], atol=1e-6)
     white = np.asarray(view.sclera.share) == 1
     found = on_globe(eye, camera, joined(view.sclera.point))
     assert np.asarray(found.visible)[white].all() and white.sum() > 20
-    np.testing.assert_allclose(np.asarray(found.column)[white], COLUMN[white], atol=close)
-    np.testing.assert_allclose(np.asarray(found.row)[white], ROW[white], atol=close)
+    np.testing.assert_allclose(np.asarray(found.column)[white], COLUMN[white], atol=1e-6)
+    np.testing.assert_allclose(np.asarray(found.row)[white], ROW[white], atol=1e-6)
 
 
 def test_without_a_cornea_and_in_a_part_of_the_picture():

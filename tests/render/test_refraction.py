@@ -236,7 +236,7 @@ def test_no_light_meets_the_cornea_from_inside(eye):
     assert (z + t * d[..., 2]).min() > limbus + 0.3
 
 
-@pytest.mark.slow
+@pytest.mark.peer
 def test_single_precision(float32):
     k, _ = disc(5.4, 40)
     eye = Eye()

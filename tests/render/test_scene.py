@@ -1,6 +1,5 @@
 """Pictures against the exact solver, hand-made optics and geometry; extreme scenes."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from irisjax.render.camera import Camera
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.picture import draw, respond
-from irisjax.render.project import look, project
 from irisjax.render.scene import Scene
 from irisjax.render.shading import sky_of
 from irisjax.tissue.maps import IrisMaps
@@ -25,7 +23,6 @@ from render.small_scenes import (
     QUICK,
     SMALL,
     around,
-    pictured,
     ring,
     scene,
 )
@@ -224,17 +221,3 @@ def test_a_pixel_that_looks_at_the_middle():
     maps = maps_of(relief=ring(lambda x, y: 0.01 * y))
     picture = np.asarray(draw(scene(maps=maps, camera=Camera(size=(1, 1), width=8.0))))
     assert picture.shape == (1, 1, 3) and np.isfinite(picture).all()
-
-
-@pytest.mark.slow  # 10 s of compiling
-def test_all_pixels_or_those_that_see(tables):
-    """`project` has every pixel for every part, `look` sorts them on the host: one picture."""
-    eye = Eye(cornea=CLEAR)
-    made = scene(eye, camera=Camera(0.9, 0.3, size=(24, 18), width=26.0))
-    every, some = project(eye, made.camera), look(eye, made.camera)
-    assert every.iris.index is every.sclera.index is every.mirror.index is None
-    assert some.iris.index is not None and all(
-        map(np.isfinite, map(np.sum, jax.tree.leaves(every)))
-    )
-    pictures = (pictured(made, tables, view) for view in (every, some))
-    np.testing.assert_allclose(*pictures, atol=1e-12)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import slowly
 from irisjax.render.bands import spectral_bands
 from irisjax.render.separable import Separable
 from irisjax.tissue.maps import IrisMaps, Scales
@@ -33,11 +32,8 @@ def shown(response, *scales):
 
 
 @pytest.mark.parametrize("level", ["low", "high"])
-@pytest.mark.parametrize(
-    "process", [ij.ILIT_2006, slowly(ij.ILIT_CORRECTED)], ids=["2006", "corrected"]
-)
-def test_uniform_iris(level, process):
-    iris, solver = ij.Iris.of_level(level), ij.IlitExact(12, process=process)
+def test_uniform_iris(level):
+    iris, solver = ij.Iris.of_level(level), ij.IlitExact(12)
     response = tabulated(Separable(solver=solver), iris, spectral_bands(X, "E"), Scales())
     found = np.asarray(shown(response))
     true = np.asarray(ij.brdf(iris, X, cos_exit=EXITS, solver=solver).values)
@@ -46,10 +42,10 @@ def test_uniform_iris(level, process):
     np.testing.assert_allclose(found, true, atol=2 * float(response.error) * true.max())
 
 
-@pytest.mark.slow  # 10 s of compiling
+@pytest.mark.peer
 def test_texels_with_scaled_layers_are_irides_of_their_own():
     """An ABL three times as thick, with three times the pigment, and so on."""
-    ranges = Scales(abl=(0.2, 6.0), stroma=(0.3, 2.0))
+    ranges = Scales(abl=jnp.array([0.2, 6.0]), stroma=jnp.array([0.3, 2.0]))
     response = tabulated(Separable(solver=ij.IlitExact(12)), LIGHT, spectral_bands(X, "E"), ranges)
     assert float(response.error) < 2e-3
     for abl, stroma in ((3.0, 1.0), (0.25, 1.9), (5.5, 0.4), (1.0, 1.0)):
@@ -71,9 +67,9 @@ def test_texels_with_scaled_layers_are_irides_of_their_own():
         np.testing.assert_allclose(found, true, atol=2e-3 * 0.1, rtol=5e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.peer
 def test_pigment_maps_are_irides_of_their_own():
-    ranges = Scales(eumelanin=(0.0, 3.0), pheomelanin=(0.5, 4.0))
+    ranges = Scales(eumelanin=jnp.array([0.0, 3.0]), pheomelanin=jnp.array([0.5, 4.0]))
     response = tabulated(Separable(solver=ij.IlitExact(12)), LIGHT, spectral_bands(X, "E"), ranges)
     for eu, pheo in ((0.0, 1.0), (2.9, 0.6), (1.0, 3.9)):
         found = shown(response, None, None, eu, pheo)
@@ -84,13 +80,13 @@ def test_pigment_maps_are_irides_of_their_own():
         np.testing.assert_allclose(found, true, atol=2 * float(response.error) * true.max() + 1e-12)
 
 
-@pytest.mark.slow  # 10 s of compiling
+@pytest.mark.peer
 def test_error_tells_a_table_too_coarse():
+    wide = Scales(abl=jnp.array([0.0, 30.0]))
+
     def error(degree):
         integrator = Separable(degrees=(degree, 5, 4, 4, 3), solver=ij.IlitExact(8))
-        return float(
-            tabulated(integrator, LIGHT, spectral_bands(X[:1], "E"), Scales(abl=(0.0, 30.0))).error
-        )
+        return float(tabulated(integrator, LIGHT, spectral_bands(X[:1], "E"), wide).error)
 
     assert error(2) > 0.02 > 2e-3 > error(12)
 

@@ -34,7 +34,7 @@ def test_tables_are_made_for_what_is_asked(monkeypatch):
     assert built == [False, True]
 
 
-@pytest.mark.slow  # 20 s of compiling
+@pytest.mark.peer
 def test_absent_parts_cost_nothing(tables):
     eye, iris = CLOSE, LIGHT
     pixels = look(eye, SMALL).iris
@@ -69,7 +69,10 @@ def test_absent_parts_cost_nothing(tables):
                 iris, eye.aqueous_index, colour_bands(), r
             ).brdf(s, jnp.ones(2), jnp.ones(2), jnp.ones(2))
         )
-        for r, s in ((Scales(), Scales()), (Scales(abl=(0.5, 2.0)), Scales(abl=jnp.ones(2))))
+        for r, s in (
+            (Scales(), Scales()),
+            (Scales(abl=jnp.array([0.5, 2.0])), Scales(abl=jnp.ones(2))),
+        )
     ]
     assert responses[0] < responses[1]
 

@@ -9,7 +9,7 @@ import pytest
 
 import common
 import irisjax as ij
-from common import GRID, all_irides, any_order, layers, quick_jit, reference, slowly
+from common import GRID, all_irides, any_order, layers, quick_jit, reference
 
 IRIS = (1.336, 1.4733333333, 1.4727930095, 1.5)
 SOLVER = ij.RadiativeExact(n_panels=3)  # one program where the default's panels are not the point
@@ -42,8 +42,8 @@ def test_reference_table(bits):
         np.testing.assert_allclose(found, expected, rtol=1e-6 if bits == 64 else 2e-5)
 
 
-# 1e-7 is what the issue asks of the default size; refined, all nine printed digits come out.
-FINER = pytest.param(ij.RadiativeExact(n_angles=100, n_depths=12), 1e-9, marks=pytest.mark.slow)
+# The default size is promised to 1e-7; refined, all nine printed digits come out.
+FINER = pytest.param(ij.RadiativeExact(n_angles=100, n_depths=12), 1e-9, marks=pytest.mark.peer)
 
 
 @pytest.mark.parametrize(("solver", "tolerance"), [(SOLVER, 1e-7), FINER])
@@ -67,19 +67,9 @@ def test_check_slab(index, normal, diffuse, solver, tolerance):
 HARD = (np.array([0.02, 0.3, 1.0]), np.array([0.05, 0.0, 1.5]), np.array([0.2, 2.5, 0.3]))
 
 
-@pytest.mark.parametrize(
-    "finer",
-    [
-        FIVE,
-        pytest.param(ij.RadiativeExact(n_depths=12), marks=pytest.mark.slow),
-        pytest.param(ij.RadiativeExact(n_angles=144), marks=pytest.mark.slow),
-    ],
-)
-def test_refinement_changes_nothing(finer):
-    """Cutting the stroma into panels, more polynomials, more angles: the answer stays (to 1e-7, as
-    promised).
-    """
-    standard, finer = (solve(layers(*HARD, IRIS), 0.6, s) for s in (SOLVER, finer))
+def test_more_panels_change_nothing():
+    """To 1e-7, as promised."""
+    standard, finer = (solve(layers(*HARD, IRIS), 0.6, s) for s in (SOLVER, FIVE))
     np.testing.assert_allclose(finer.reflectance, standard.reflectance, rtol=1e-7)
     np.testing.assert_allclose(finer.absorbed.ipe, standard.absorbed.ipe, rtol=1e-7)
 
@@ -179,11 +169,8 @@ def test_brdf_integrates_to_reflectance():
         np.testing.assert_allclose(2 * np.pi * (w * x) @ brdf, whole - black, rtol=1e-7)
 
 
-@pytest.mark.parametrize(
-    "depths", [(0.1, 8.0), pytest.param((0.1, 50.0, 1e3), marks=pytest.mark.slow)]
-)
-def test_deep_layers_ask_for_panels(depths):
-    made = layers(0.0, np.array(depths), 0.5, IRIS)
+def test_deep_layers_ask_for_panels():
+    made = layers(0.0, np.array([0.1, 8.0]), 0.5, IRIS)
     assert ij.RadiativeExact().prepare(made, ij.Light(1.0)).n_panels > 1
     one = solve(made, solver=ij.RadiativeExact(n_panels=1))
     assert bool(one.status == ij.RESULTS.under_resolved)
@@ -191,13 +178,12 @@ def test_deep_layers_ask_for_panels(depths):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("thickest", [1.0, 2.0])
-def test_depths_and_albedos_converge(thickest):
+def test_depths_and_albedos_converge():
     """The panels chosen for known depths hold 1e-7; a status of success, 1e-6. At random depths and
     albedos.
     """
     rng = np.random.default_rng(5)
-    depth, albedo = 10 ** rng.uniform(-2, thickest, 60), 1 - 10 ** rng.uniform(-3, 0, 60)
+    depth, albedo = 10 ** rng.uniform(-2, 2, 60), 1 - 10 ** rng.uniform(-3, 0, 60)
     made = [layers(0.01, t * (1 - w), t * w, IRIS) for t, w in zip(depth, albedo, strict=True)]
     panels = np.array([ij.RadiativeExact().prepare(m, ij.Light(1.0)).n_panels for m in made])
     assert set(panels) >= {1, 2, 3}
@@ -216,16 +202,7 @@ def test_depths_and_albedos_converge(thickest):
     assert 1 <= resolved < np.unique(panels).size
 
 
-@pytest.mark.slow
-def test_deep_scattering_layer_converges():
-    made = layers(0.0, np.array([1e-3, 0.01, 1.0]), 300.0, IRIS)
-    standard, finer = (
-        solve(made, solver=s) for s in (ij.RadiativeExact(), ij.RadiativeExact(72, 14))
-    )
-    np.testing.assert_allclose(standard.reflectance, finer.reflectance, rtol=1e-6)
-
-
-@pytest.mark.parametrize("deep", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("deep", [False, pytest.param(True, marks=pytest.mark.peer)])
 def test_half_space_of_chandrasekhar(deep):
     """Conservative matched slab: everything comes back as it gets thick,
     a black one gives nothing.
@@ -237,27 +214,6 @@ def test_half_space_of_chandrasekhar(deep):
     if deep:  # Diffusion: 1 − R falls as 1/τ.
         assert (1 - r[3]) / (1 - r[2]) == pytest.approx(0.01, rel=0.03)
     assert solve(layers(0.0, np.array([1.0]), 0.0, (1.4,) * 4)).reflectance[0] == 0
-
-
-@pytest.mark.slow  # 10 s of compiling
-def test_darker_than_ilit():
-    """ILIT forgets the way back: about twice as bright in the blue for light eyes (ilit.md, section
-    6).
-    """
-    iris = ij.Iris.of_level("low")
-    at = int(np.flatnonzero(GRID == 450)[0])
-    whole = ij.reflectance(iris, GRID).values[at]
-    spectrum = ij.reflectance(iris, GRID, solver=ij.RadiativeExact()).values
-    resolved = spectrum[at]
-    assert whole == pytest.approx(0.0405, abs=5e-5)
-    assert resolved == pytest.approx(0.0202, abs=5e-5)
-    # Of an optimised program, unlike most in this file.
-    rows = (
-        float(r["reflectance"])
-        for r in reference("depth_resolved_reflectance.csv")
-        if (r["level"], float(r["abl_fraction"]), float(r["mu_i"])) == ("low", 0.5, 1.0)
-    )
-    np.testing.assert_allclose(spectrum, list(rows), rtol=1e-6)
 
 
 PIGMENTS = ("eumelanin", "pheomelanin", "oxyhemoglobin", "deoxyhemoglobin", "lutein", "zeaxanthin")
@@ -297,18 +253,11 @@ def test_grazing_light_has_the_panels_that_it_takes(process, expected):
         np.testing.assert_allclose(found, 0.57602924, rtol=3e-8)
 
 
-@pytest.mark.parametrize(
-    ("scale", "exits", "expected", "tolerance"),
-    [
-        (1.0, [1.0, 0.01], [0.07100689718821734, 3.1961879929511334], 1e-7),
-        # One panel is off by two fifths here.
-        slowly(4.0, [1.0, 0.003], [0.09766017478370932, 3.8490169320577405], 1e-6),
-    ],
-)
-def test_grazing_exits_have_the_panels_that_they_take(scale, exits, expected, tolerance):
+def test_grazing_exits_have_the_panels_that_they_take():
     """The expected values are those of twelve panels."""
-    found = solve(undense(scale), 0.03, ij.RadiativeExact(), exits=exits, azimuth=[0.0, 0.0])
-    np.testing.assert_allclose(found.brdf[0], expected, rtol=tolerance)
+    found = solve(undense(), 0.03, ij.RadiativeExact(), exits=[1.0, 0.01], azimuth=[0.0, 0.0])
+    expected = [0.07100689718821734, 3.1961879929511334]
+    np.testing.assert_allclose(found.brdf[0], expected, rtol=1e-7)
     assert bool(found.status == ij.RESULTS.successful)
 
 
@@ -317,38 +266,22 @@ def test_grazing_light_is_refused_with_one_panel():
     assert bool(coarse.status == ij.RESULTS.under_resolved)
 
 
-OPAQUE = {
-    "anterior border layer": ij.Iris(eumelanin=2000.0, abl_fraction=1.0),
-    "both layers": ij.Iris(eumelanin=2000.0),
-    "stroma": ij.Iris(eumelanin=2000.0, abl_fraction=0.0),
-    "3 mm": ij.Iris(stroma_thickness=3.0),
-}
-
-
-@pytest.fixture(scope="module")
-def opaque_traced():
-    """Readings of a traced iris and their gradients, with one panel and with five."""
-
-    def made(panels):
-        def reading(iris):
-            solver = ij.RadiativeExact(20, 8, panels)
-            found = ij.reflectance(iris, [400.0, 550.0], solver=solver, throw=False)
-            return found.values.sum(), found
-
-        return quick_jit(jax.grad(reading, has_aux=True))
-
-    return {None: made(None), 5: made(5)}
-
-
-@pytest.mark.slow
+@pytest.mark.peer
 @pytest.mark.parametrize(
-    ("name", "panels"),
-    [("anterior border layer", None), ("both layers", None), ("stroma", 5), ("3 mm", 5)],
+    ("opaque", "panels"),
+    [({"eumelanin": 2000.0}, None), ({"stroma_thickness": 3.0}, 5)],
+    ids=["both layers", "3 mm"],
 )
-def test_opaque_layers_in_a_trace(opaque_traced, name, panels):
+def test_opaque_layers_in_a_trace(opaque, panels):
     """By another method; behind an opaque ABL one panel serves, elsewhere five."""
-    iris = OPAQUE[name]
-    gradient, found = opaque_traced[panels](iris)
+    iris = ij.Iris(**opaque)
+
+    def reading(iris):
+        solver = ij.RadiativeExact(20, 8, panels)
+        found = ij.reflectance(iris, [400.0, 550.0], solver=solver, throw=False)
+        return found.values.sum(), found
+
+    gradient, found = quick_jit(jax.grad(reading, has_aux=True))(iris)
     assert bool(found.status == ij.RESULTS.successful)
     doubled = ij.reflectance(iris, [400.0, 550.0], solver=ij.AddingDoubling())
     np.testing.assert_allclose(found.values, doubled.values, rtol=1e-6)

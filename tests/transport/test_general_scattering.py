@@ -11,7 +11,7 @@ from mixed_layers import LB06, MATCHED, REVERSED, _solve, mixed
 from mixed_layers import solve as solve_alone
 
 import irisjax as ij
-from common import DOUBLE_FIRST, layers, quick_jit, slowly
+from common import layers, quick_jit
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.transport.radiative import resolution
 
@@ -68,11 +68,15 @@ def test_rayleighs_law_alone_is_the_exact_solver():
         )
 
 
-@DOUBLE_FIRST
-@pytest.mark.parametrize("indices", [LB06, slowly(REVERSED), slowly(MATCHED)])
 @pytest.mark.parametrize(
-    ("g", "rayleigh"),
-    [(0.95, 0.0), (-0.9, 0.4), slowly(0.95, 0.4), slowly(-0.9, 0.0), slowly(0.0, 0.0)],
+    ("indices", "g", "rayleigh", "bits"),
+    [
+        (LB06, 0.95, 0.0, 64),
+        (LB06, -0.9, 0.4, 64),
+        (MATCHED, 0.95, 0.4, 64),
+        (REVERSED, 0.95, 0.0, 64),
+        (LB06, 0.95, 0.0, 32),
+    ],
 )
 def test_no_wrong_number_at_any_depth(indices, g, rayleigh, bits):
     """Every share is in [0, 1] and they sum to one, whatever the depth, albedo and angle."""
@@ -126,7 +130,6 @@ def test_photons_agree():
     assert np.abs((p - q) / np.sqrt(q * (1 - q) / 20_000)).max() < 4
 
 
-@pytest.mark.slow
 def test_gradients_are_those_of_differences():
     def value(x):
         iris = ij.Iris.of_level("low").replace(

@@ -75,8 +75,7 @@ def test_against_the_deterministic_solver(media):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("media", MEDIA)
-@pytest.mark.parametrize("cosine", [1.0, 0.85, 0.4])
+@pytest.mark.parametrize(("media", "cosine"), [("iris", 0.4), ("turning", 1.0)])
 def test_against_the_deterministic_solver_with_many_photons(media, cosine):
     scores = _scores(MEDIA[media], cosine, 400_000)
     assert np.abs(scores).max() < 4

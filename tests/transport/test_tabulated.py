@@ -102,7 +102,6 @@ def test_incidence_and_brdf(tabulated):
         np.testing.assert_allclose(found, exact, rtol=0, atol=8 * tabulated.error)
 
 
-@pytest.mark.slow  # makes a table; the quick form is below
 def test_the_table_that_is_shipped_is_the_one_that_is_built():
     read, built = (
         table_for(ij.Iris().indices(), ij.ILIT_2006),
@@ -130,7 +129,6 @@ def test_another_iris_gets_its_own_table(monkeypatch):
     assert float(table_for(indices, ij.ILIT_2006).indices.aqueous) == 1.34
 
 
-@pytest.mark.slow  # tables of single precision are made for this test alone
 def test_single_precision(float32):
     tables = ij.IlitTabulated.build(process=ij.ILIT_CORRECTED)
     iris = ij.Iris.of_level("low")

@@ -32,7 +32,7 @@ def fresh(found: Studio) -> np.ndarray:
     return np.rint(255 * np.clip(srgb_encode(linear), 0, 1))
 
 
-@pytest.mark.slow  # 20 s of compiling
+@pytest.mark.peer
 def test_a_change_costs_what_it_must(bare, counted):
     found = Studio(bare)
     before = found.update()
@@ -60,7 +60,7 @@ def test_a_change_costs_what_it_must(bare, counted):
     assert np.abs(after - fresh(found)).max() <= 1
 
 
-@pytest.mark.slow
+@pytest.mark.peer
 def test_drafts_are_kept_apart(bare, counted):
     found = Studio(bare)
     fine = found.update()

@@ -98,7 +98,7 @@ def test_without_a_photograph_there_is_no_such_setting(bare):
     assert found.settings.photograph is None
 
 
-@pytest.mark.slow
+@pytest.mark.peer
 def test_the_right_half_is_the_scene_as_it_is_drawn_alone(bare):
     alone = Studio(bare).update(pupil_radius=2.5)
     found = Studio(bare, photograph=flat(10, 12, 16))
