@@ -62,12 +62,17 @@ def scales_at_unit(unit: Float[Array, "*s varied"], ranges: Scales) -> Scales:
     return Scales(*(None if span is None else from_unit(span, next(places)) for span in ranges))
 
 
+def scale_places(scales: Scales, ranges: Scales) -> tuple[Float[Array, " pixels"], ...]:
+    """Places in [−1, 1] of the scales that vary, at pixels."""
+    pairs = zip(scales, ranges, strict=True)
+    return tuple(to_unit(span, s) for s, span in pairs if span is not None)
+
+
 def polynomials_of(
-    scales: Scales, ranges: Scales, degrees: tuple[int, ...]
+    units: Sequence[Float[Array, " pixels"]], degrees: tuple[int, ...]
 ) -> tuple[Float[Array, "_ pixels"], ...]:
-    """Polynomials of each scale that varies, at pixels; `degrees`: one for each that does."""
-    some = [to_unit(span, s) for s, span in zip(scales, ranges, strict=True) if span is not None]
-    return tuple(polynomials(x, d + 1) for x, d in zip(some, degrees, strict=True))
+    """Polynomials at places in [−1, 1], for each scale that varies up to its degree."""
+    return tuple(polynomials(x, d + 1) for x, d in zip(units, degrees, strict=True))
 
 
 def along_nodes(values: Float[Array, "..."], axis: int) -> Float[Array, "..."]:

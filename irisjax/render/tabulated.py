@@ -39,9 +39,9 @@ _COSINES = 48
 _CHUNK = 24  # texels solved at a time
 
 
-Terms = tuple[tuple[Float[Array, "_ pixels"], ...], Float[Array, "functions pixels"] | None]
-"""Polynomials of the scales that vary, at pixels, and functions of the line of sight, `None` where
-they come with the light.
+Terms = tuple[tuple[Float[Array, " pixels"], ...], Float[Array, "functions pixels"] | None]
+"""The scales that vary, at pixels, within [−1, 1], and functions of the line of sight, `None` where
+they come with the light. Their polynomials, of which there are many, are made where they are used.
 """
 
 
@@ -62,10 +62,9 @@ class AbstractTabulated(AbstractIntegrator):
         """The functions of directions in which the response is written."""
 
     def texels(self, pixels: IrisPixels, front: Front, ranges: Scales) -> Terms:
-        degrees = products.degrees_of(ranges, self.degrees)
         directions = self.directions(front.iris, front.eye.aqueous_index)
         textures = textures_of(front.maps, front.iris)
-        return _terms(pixels, textures, front.eye, ranges, degrees, directions)
+        return _terms(pixels, textures, front.eye, ranges, directions)
 
     def response(
         self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
@@ -180,10 +179,10 @@ class TabulatedResponse(AbstractResponse):
     def shade(
         self, pixels: IrisPixels, texels: Terms, light: AngularLight
     ) -> Float[Array, "channels pixels"]:
-        return _shaded((texels, light[0]), self.coefficients, light[1])
+        return _shaded((texels, light[0]), self.coefficients, light[1], self.degrees)
 
     def _polynomials(self, scales: Scales):
-        return products.polynomials_of(scales, self.ranges, self.degrees)
+        return products.polynomials_of(products.scale_places(scales, self.ranges), self.degrees)
 
 
 @pixelwise
@@ -192,11 +191,10 @@ def _terms(
     textures: Scales,
     eye: Eye,
     ranges: Scales,
-    degrees: tuple[int, ...],
     directions: AbstractAngular,
 ) -> Terms:
-    scales = products.polynomials_of(scales_at(pixels, eye, textures), ranges, degrees)
-    return scales, directions.exits(pixels.cosine)
+    units = products.scale_places(scales_at(pixels, eye, textures), ranges)
+    return units, directions.exits(pixels.cosine)
 
 
 @pixelwise
@@ -204,10 +202,12 @@ def _shaded(
     pixels: tuple[Terms, Float[Array, "tints parts pixels"]],
     coefficients: Float[Array, "products functions channels"],
     mixtures: Float[Array, "functions mixtures"] | None,
+    degrees: tuple[int, ...],
 ) -> Float[Array, "shown pixels"]:
-    (scales, exits), light = pixels
+    (units, exits), light = pixels
     if mixtures is not None:
         coefficients = jnp.einsum("pkc,kr->prc", coefficients, mixtures)
+    scales = products.polynomials_of(units, degrees)
     return products.summed(coefficients, scales, light if exits is None else light * exits)
 
 
