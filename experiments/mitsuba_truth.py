@@ -17,16 +17,14 @@ from experiments.common import RESULTS, start, write
 from experiments.mitsuba_photographs import FOLDER
 from irisjax.io.photographs import read_photograph
 from irisjax.photo.clone import (
-    DOUBTS,
     CloneSettings,
     Coloured,
     Given,
     clone_eye,
     compare_with_photograph,
-    doubtful_outlines,
-    doubts_of,
     outline_eye,
 )
+from irisjax.photo.doubts import DOUBTS, doubtful_outlines, doubts_of
 from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pigments import parameter_values
 from irisjax.photo.texels import OwnPigments

@@ -24,6 +24,7 @@ from irisjax.io.eye_colours import COLOUR_FILES, colour_files
 from irisjax.io.photographs import read_photograph
 from irisjax.numerics.checks import Range
 from irisjax.photo import clone as cloning
+from irisjax.photo.doubts import Doubt, doubtful_outlines, doubts_of, per_cent
 from irisjax.photo.eye_colour import RINGS, EyeColour, RegionColour, colours_of
 from irisjax.photo.photograph import Photograph
 from irisjax.plot.beside import Later, beside, here
@@ -173,7 +174,7 @@ class CloneRun(NamedTuple):
 
     found: cloning.Outlined
     files: dict[str, bytes]
-    doubts: tuple[cloning.Doubt, ...]
+    doubts: tuple[Doubt, ...]
     pictures: cloning.PictureDifference | None = None
     colours: EyeColour | None = None
 
@@ -213,7 +214,7 @@ def clone_command(
     for note in made.found.photograph.notes:
         opt.notice(f"{picture.photograph}: {note}")
     if made.pictures is not None:
-        off = map(cloning.per_cent, (made.pictures.rms, made.pictures.rms_of_pigments))
+        off = map(per_cent, (made.pictures.rms, made.pictures.rms_of_pigments))
         words = "difference of the pictures, RMS: {} % (R, G, B); by the pigments alone {} %"
         print(words.format(*off))
     for line in () if made.colours is None else colour_lines(made.colours):
@@ -269,13 +270,13 @@ def _stages(results: CloneResults) -> tuple[str, ...]:
 def _coloured(photograph: Photograph, stated: cloning.Given, words, shown, key) -> CloneRun:
     """The colours of an eye whose outlines are sure."""
     found = cloning.outline_eye(photograph, stated)
-    doubts, measured = cloning.doubts_of(found), None
-    if not cloning.doubtful_outlines(found):
+    doubts, measured = doubts_of(found), None
+    if not doubtful_outlines(found):
         try:
             measured = colours_of(found, key=key)
         except ValueError as error:
             raise shown(found, error) from None
-        doubts += tuple(cloning.Doubt("light", said) for said in measured[0].doubts)
+        doubts += tuple(Doubt("light", said) for said in measured[0].doubts)
     files = colour_files(found, measured, words, doubts)
     return CloneRun(found, files, doubts, colours=None if measured is None else measured[0])
 
@@ -307,7 +308,7 @@ def _cloned(
     found, both, drawn, failed = next(run), None, {}, ()
     try:
         # No stage follows a doubtful outline.
-        for known in () if cloning.doubtful_outlines(found) else run:
+        for known in () if doubtful_outlines(found) else run:
             found = known
             last = results.stop_after == "pigments" or isinstance(known, cloning.Coloured)
             # Before the posterior, which takes longest.
@@ -325,8 +326,8 @@ def _cloned(
         if not isinstance(found, cloning.Shaped):
             raise shown(found, error) from None
         said = f"{_stages(results)[len(timings)]}: {error}; the stages before it are written"
-        failed = (cloning.Doubt("model", said),)
-    doubts = cloning.doubts_of(found, None if both is None else both.rms_of_pigments) + failed
+        failed = (Doubt("model", said),)
+    doubts = doubts_of(found, None if both is None else both.rms_of_pigments) + failed
     files = files_of(found, words, timings, both, doubts)
     if both is not None:
         files |= {name: later() for name, later in drawn.items()}
@@ -335,7 +336,7 @@ def _cloned(
 
 
 def report(
-    found: cloning.Outlined, cross_polarised: bool, folder: Path, doubts: tuple[cloning.Doubt, ...]
+    found: cloning.Outlined, cross_polarised: bool, folder: Path, doubts: tuple[Doubt, ...]
 ) -> None:
     """Print what was found, and on standard error what is doubtful."""
     left, right, top, bottom = found.crop()
@@ -406,7 +407,7 @@ def _lab_in_words(region: RegionColour) -> str:
     return ", ".join(f"{c}* {x:.0f} ({low:.0f} to {high:.0f})" for c, x, low, high in spans)
 
 
-def pigments_withheld(found: cloning.Outlined, doubts: tuple[cloning.Doubt, ...]) -> bool:
+def pigments_withheld(found: cloning.Outlined, doubts: tuple[Doubt, ...]) -> bool:
     """Return whether a clone has no pigments that mean something."""
     return not isinstance(found, cloning.Sampled) or any(d.kind == "model" for d in doubts)
 

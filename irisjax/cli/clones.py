@@ -25,6 +25,7 @@ from irisjax.io.clones import OVERLAY
 from irisjax.io.eye_colours import COLOUR_FILES, CONTACT_SHEET, encode_contact_sheet
 from irisjax.io.photographs import HEIF, PHOTOGRAPHS
 from irisjax.photo import clone as cloning
+from irisjax.photo.doubts import doubtful_outlines
 from irisjax.photo.eye_colour import EyeColour, colours_of
 from irisjax.photo.pigments import CONCENTRATIONS
 from irisjax.plot.beside import Later, here
@@ -145,7 +146,7 @@ def _row(name: str, made: CloneRun, key: jax.Array) -> EyeRow:
 
 def _colours(made: CloneRun, key: jax.Array) -> EyeColour | None:
     """An eye's colours, of a clone too where they can be measured."""
-    if made.colours is not None or cloning.doubtful_outlines(made.found):
+    if made.colours is not None or doubtful_outlines(made.found):
         return made.colours
     try:
         return colours_of(made.found, key=key)[0]

@@ -12,9 +12,7 @@ from irisjax.io.scenes import scene_text
 from irisjax.io.sections import json_of
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.clone import (
-    DOUBTS,
     Coloured,
-    Doubt,
     Fitted,
     Flat,
     Outlined,
@@ -23,6 +21,7 @@ from irisjax.photo.clone import (
     Sampled,
     Shaped,
 )
+from irisjax.photo.doubts import DOUBTS, Doubt
 from irisjax.photo.overlay import draw_overlay
 from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pigments import PIGMENT_UNITS, iris_of_concentrations

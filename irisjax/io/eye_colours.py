@@ -11,7 +11,8 @@ from PIL import Image, ImageDraw, ImageFont
 from irisjax.io.clones import OVERLAY, overlay_of, summary_of
 from irisjax.io.images import encode_png
 from irisjax.io.sections import json_of
-from irisjax.photo.clone import Doubt, Outlined
+from irisjax.photo.clone import Outlined
+from irisjax.photo.doubts import Doubt
 from irisjax.photo.eye_colour import RINGS, EyeColour, RegionColour
 from irisjax.photo.masks import Part
 from irisjax.photo.overlay import draw_colours

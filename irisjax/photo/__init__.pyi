@@ -2,7 +2,6 @@
 
 from .clone import CloneSettings as CloneSettings
 from .clone import Coloured as Coloured
-from .clone import Doubt as Doubt
 from .clone import Fitted as Fitted
 from .clone import Flat as Flat
 from .clone import Given as Given
@@ -15,7 +14,6 @@ from .clone import Shaped as Shaped
 from .clone import clone_eye as clone_eye
 from .clone import colour_texels as colour_texels
 from .clone import compare_with_photograph as compare_with_photograph
-from .clone import doubts_of as doubts_of
 from .clone import fit_clone as fit_clone
 from .clone import flatten_iris as flatten_iris
 from .clone import light_eye as light_eye
@@ -23,6 +21,8 @@ from .clone import outline_eye as outline_eye
 from .clone import pose_eye as pose_eye
 from .clone import sample_clone as sample_clone
 from .clone import shape_iris as shape_iris
+from .doubts import Doubt as Doubt
+from .doubts import doubts_of as doubts_of
 from .eye_colour import EyeColour as EyeColour
 from .eye_colour import RegionColour as RegionColour
 from .eye_colour import WhiteOfEye as WhiteOfEye

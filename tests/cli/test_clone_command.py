@@ -17,7 +17,7 @@ from irisjax.infer.posterior import Chains, ChainStatus
 from irisjax.io.scenes import read_scene
 from irisjax.photo import clone as cloning
 from irisjax.photo import texture
-from irisjax.photo.clone import doubts_of
+from irisjax.photo.doubts import doubts_of
 from irisjax.photo.outlines import Boundaries
 from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pigments import FREE_NAMES, PRIORS, PigmentFit, PigmentPosterior

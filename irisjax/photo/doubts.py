@@ -1,0 +1,101 @@
+"""What is doubtful about a clone, and what to do about it: one sentence for each doubt."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from irisjax.numerics.checks import Range
+from irisjax.photo import pigments
+from irisjax.photo.clone import Coloured, Fitted, Outlined, Posed, Sampled
+from irisjax.photo.outlines import MIN_CONFIDENCE
+
+DOUBTS = ("outlines", "light", "model")
+"""What a doubt may be about: where the eye is, how it is lit, what the model makes of its iris."""
+_OUTSIDE_SHARE = 0.05  # of an iris with colours that the model cannot make, above which it is said
+_DISTANCES = Range(80, 2000, "mm")  # of cameras that photograph an iris, macro to long lenses
+_PICTURES_OFF = 0.05  # RMS difference of the encoded pictures above which a clone is doubtful [F09]
+_STRETCHED = 0.3  # probability that a file is, above which that is said
+_LEAST_RESPONSE = 0.1  # below it a photograph says little about the thickness
+
+
+class Doubt(NamedTuple):
+    """What is doubtful about a clone: one of `DOUBTS`, and a sentence."""
+
+    kind: str
+    sentence: str
+
+
+def doubtful_outlines(found: Outlined) -> dict[str, float]:
+    """Return the outlines that a clone must not be built on, and the confidence in each."""
+    sure = found.boundaries.limbus_confidence, found.boundaries.pupil_confidence
+    both = zip(("limbus", "pupil"), sure, strict=True)
+    return {name: confidence for name, confidence in both if confidence < MIN_CONFIDENCE}
+
+
+def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tuple[Doubt, ...]:
+    """Return what is doubtful about the last stage that was reached; `rms` has the differences by
+    channel, of the full range, of the picture that the pigments make of the photograph.
+    """
+    doubts = [
+        Doubt("outlines", f"the {name} is doubtful (confidence {confidence:.2f}); give --{name}")
+        for name, confidence in doubtful_outlines(found).items()
+    ]
+    if doubts:
+        doubts.append(Doubt("outlines", "nothing after the outlines was done"))
+    doubts += [Doubt("outlines", said) for said in found.boundaries.doubts()]
+    distance = found.pose.distance if isinstance(found, Posed) else None
+    if distance is not None and not _DISTANCES.holds(distance):
+        said = (
+            f"the focal length puts the camera {distance:.0f} mm away, where {_DISTANCES} are "
+            "usual: it may be wrong; give --focal-px in pixels of this file"
+        )
+        doubts.append(Doubt("outlines", said))
+    if isinstance(found, Posed) and found.pose.stretched > _STRETCHED:
+        wide, high = (e.semi_axes for e in found.boundaries[:2])
+        said = (
+            f"limbus and pupil are both flat, by {100 * (wide[0] / wide[1] - 1):.0f} and "
+            f"{100 * (high[0] / high[1] - 1):.0f} %: the file may be stretched rather than the eye "
+            "tilted; resize it to its true proportions"
+        )
+        doubts.append(Doubt("outlines", said))
+    own = found.texels if isinstance(found, Coloured) else None
+    model: list[str] = []
+    if isinstance(found, Fitted):
+        if found.photograph.grey:
+            model.append("the photograph has no colours: the pigments are meaningless")
+        model += (odd := pigments.misfits(found.fit, found.windows))
+        # Where every texel has a thickness of its own, that by the response is not the clone's.
+        response = found.morphology.response if own is None else None
+        if odd and response is not None:
+            model.append(f"the thickness is that of a usual iris, whose response is {response:.2f}")
+        elif response is not None and response < _LEAST_RESPONSE:
+            model.append(
+                f"thickness hardly shows in this iris (1 % of it changes the light by "
+                f"{max(response, 0):.2f} %): the map is little more than an average iris's"
+            )
+    if own is not None and own.gain != 1:
+        said = (
+            f"the iris's colours need {own.gain:g} times the exposure that its brightness tells: "
+            "its pigments and the strength of its scattering mean little; give --light or "
+            "--environment"
+        )
+        doubts.append(Doubt("light", said))
+    if own is not None and own.outside > _OUTSIDE_SHARE:
+        model.append(
+            f"{100 * own.outside:.0f} % of the iris has colours that the model cannot make: a "
+            "reflection, a lens, saturated colours; the map residual keeps them"
+        )
+    if rms is not None and rms.max() > _PICTURES_OFF:
+        model.append(
+            f"the picture that the pigments make differs from the photograph by {per_cent(rms)} % "
+            "RMS (R, G, B): a reflection, a shadow or an iris that the model does not have"
+        )
+    if isinstance(found, Sampled) and not found.posterior.chains.converged:
+        model.append(f"{found.posterior.chains.reason}; raise --max-steps")
+    return (*doubts, *(Doubt("model", said) for said in model))
+
+
+def per_cent(shares: Float[np.ndarray, " channels"]) -> str:
+    """Return shares of the channels as text, in per cent."""
+    return ", ".join(f"{100 * share:.1f}" for share in shares)
