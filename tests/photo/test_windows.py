@@ -1,5 +1,6 @@
 """Windows of the iris: their means, and the renderer as a matrix."""
 
+import dataclasses
 import functools
 
 import equinox as eqx
@@ -113,7 +114,8 @@ def test_the_same_by_radiative_transfer(room):
     (lamps, beside), integrator = (LIGHTS, None) if room else (None, around), RadiativeIntegrator()
     scene = Scene(OTHER, maps(), EYE, lamps, around, CAMERA, integrator=integrator)
     tables = scene.tables()
-    pixels = choose_pixels(np.asarray(draw(scene, tables)), alone(), view(), EYE, beside)
+    even = np.ones(SHAPE)  # windows in the shade of the limbus count here as well
+    pixels = choose_pixels(np.asarray(draw(scene, tables)), alone(), view(), EYE, beside, even)
     lights = Lighting(lamps, beside).lights()
     found = windows_of(pixels, EYE, BASE, maps(), lights, integrator, tables, room)
     _means_are_the_renderers(found, 0.002)
@@ -158,7 +160,10 @@ def test_features_of_an_average_iris_have_no_place():
     """Turned maps give the same windows where every pixel sees them at all turns; maps that stand
     still do not.
     """
-    pixels = chosen(np.ones(SHAPE))
+    # As many pixels a window as are taken of a photograph.
+    camera = dataclasses.replace(CAMERA, size=(150, 150))
+    clear, view = iris_alone(POSE._replace(camera=camera)), look(EYE, camera)
+    pixels = choose_pixels(np.ones((150, 150, 3)), clear, view, EYE)
     seen = jax.tree.map(lambda x: jnp.repeat(x, TURNS, -1), pixels.seen)
     every = pixels._replace(seen=seen, window=np.repeat(pixels.window, TURNS))
     usual = average_maps(EYE)
