@@ -15,7 +15,6 @@ from irisjax.io import scenes
 from irisjax.io.scenes import SECTIONS, parse_scene, read_scene, scene_text
 from irisjax.io.sections import checked
 from irisjax.render.environment import Environment
-from irisjax.render.picture import draw
 from irisjax.tissue import FRACTIONS
 from scene_files import BARE
 
@@ -83,11 +82,13 @@ def test_one_chamber_has_one_index():
 
 
 @pytest.mark.usefixtures("small")
+@pytest.mark.usefixtures("small")
 def test_the_eye_of_f09s_figure_1():
     """A preset's maps with melanins in per cent of volume; one that is missing is named."""
     shares = dict(zip(FRACTIONS, (7.56, 5.84, 4.61, 2.11), strict=True))
     lines = [f"{name} = {value}" for name, value in shares.items()]
-    iris = parse_scene("\n".join(["[iris]", 'preset = "green"', *lines])).scene().tissue
+    text = "\n".join(["[iris]", 'preset = "green"', *lines, "[eye]", "sclera = false"])
+    iris = parse_scene(text).scene().tissue
     assert iris.absorption == "f09"
     assert iris.volume_fractions() == pytest.approx(shares, rel=1e-5)
     with pytest.raises(ValueError, match=r"scene, line 1: iris: .*give stroma_pheomelanin_percent"):
@@ -177,16 +178,11 @@ def test_seeds_grow_other_maps():
 
 
 def test_coloured_lamps():
-    """A red lamp, a blue one and both: the picture of a plain one, channel by channel."""
+    """A red lamp beside a plain one; without colours there are no tints."""
     text = BARE[: BARE.index("[[light]]")]
-    plain, red, blue = (
-        parse_scene(f"{text}[[light]]\n{colour}").scene()
-        for colour in ("", "colour = [1, 0, 0]", "colour = [0, 0, 2]")
-    )
-    picture = np.asarray(draw(plain))
-    np.testing.assert_allclose(draw(red), picture * [1, 0, 0], atol=1e-12)
-    both = red.replace(lights=red.lights + blue.lights)
-    np.testing.assert_allclose(draw(both), picture * [1, 0, 2], atol=1e-12)
+    coloured = parse_scene(f"{text}[[light]]\ncolour = [1, 0, 0]\n[[light]]\n").scene()
+    np.testing.assert_allclose(coloured.lights.tint, [[1, 0, 0], [1, 1, 1]])
+    assert parse_scene(BARE).scene().lights.tint is None
 
 
 def test_environment_from_a_file(tmp_path):

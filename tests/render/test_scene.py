@@ -1,5 +1,7 @@
 """Pictures against the exact solver, hand-made optics and geometry; extreme scenes."""
 
+import dataclasses
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -201,9 +203,14 @@ def test_no_pigment_at_all():
 
 
 def test_lights_add_up():
-    one, two = Lights.distant(0.6, 2.0, 1.5), Lights.points([20.0, -10.0, -60.0], 2.5)
-    pictures = [np.asarray(draw(scene(BARE, lights=which))) for which in (one + two, one, two)]
-    np.testing.assert_allclose(pictures[0], pictures[1] + pictures[2], atol=1e-9)
+    """One of them coloured: its picture is a plain one's, channel by channel."""
+    one, plain = Lights.distant(0.6, 2.0, 1.5), Lights.points([20.0, -10.0, -60.0], 2.5)
+    two = dataclasses.replace(plain, tint=jnp.array([[1.0, 0.0, 2.0]]))
+    both, first, second, white = (
+        np.asarray(draw(scene(BARE, lights=which))) for which in (one + two, one, two, plain)
+    )
+    np.testing.assert_allclose(both, first + second, atol=1e-9)
+    np.testing.assert_allclose(second, white * [1, 0, 2], atol=1e-12)
 
 
 def test_scenes_that_make_no_sense_are_named():
