@@ -157,7 +157,7 @@ each mixture, `None` where there are none.
 def light_of(
     turned: tuple[IrisPixels, Facing | None],
     flux: Float[Array, "lights 3 rows columns"],
-    tint: Float[Array, "lights 3"] | None,
+    tints: Float[Array, "lights tints"],
     eye: Eye,
     angles: AngularFunctions,
     mixtures: Float[Array, "functions mixtures"] | None,
@@ -185,7 +185,6 @@ def light_of(
         values = angles.functions(jnp.where(lit, cosine, 1.0), seen.cosine, across)
         return total + colour[:, None, None] * (values * jnp.where(lit, irradiance, 0.0)), None
 
-    tints = jnp.ones((flux.shape[0], 1), flux.dtype) if tint is None else tint
     shape = tints.shape[1], len(angles.weights()), seen.cosine.size
     total = jax.lax.scan(add, jnp.zeros(shape, flux.dtype), (flux, tints))[0]
     total = total if mixtures is None else jnp.einsum("kr,tkp->trp", mixtures, total)

@@ -97,7 +97,7 @@ class RadiativeIntegrator(AbstractTabulated):
         """
         angles = self.directions(front.iris, front.eye.aqueous_index)
         flux = fluxes_of(lights, front.eye, tables)
-        turned, known = (pixels, facing), (flux, lights.tint, front.eye, angles)
+        turned, known = (pixels, facing), (flux, lights.factors, front.eye, angles)
         some = light_of(some_of(turned), *known, None)
         if not is_known(some):
             return light_of(turned, *known, None), None

@@ -135,7 +135,7 @@ def _flux(lights: Lights, i, place, eye: Eye, tables: Illumination | None):
     # Back along the light to about where it entered.
     x, y, z = parts(place)
     u, v, w = parts(flux)
-    back = jnp.where(w > 0, (eye.iris_depth - z) / jnp.where(w > 0, w, 1.0), 0.0)
+    back = share_of(eye.iris_depth - z, w, 0.0)
     entry = x - back * u, y - back * v, z
     towards, _ = lights.seen_from(entry, i)
     return flux * let_in(eye, entry, towards, lights.radius[i])[..., None]
