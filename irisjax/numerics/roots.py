@@ -11,8 +11,8 @@ def safe_sqrt(x: Float[Array, "*s"]) -> Float[Array, "*s"]:
 
 
 def share_of(
-    part: Float[Array, "*s"], whole: Float[Array, "*s"], of_nothing: float
-) -> Float[Array, "*s"]:
+    part: Float[Array, "*#s"], whole: Float[Array, "*#s"], of_nothing: float
+) -> Float[Array, "*#s"]:
     """part/whole, and `of_nothing` where the whole is not above zero."""
     empty = whole <= 0
     return jnp.where(empty, of_nothing, part / jnp.where(empty, 1.0, whole))
