@@ -34,8 +34,8 @@ def noise(
         i, j = jnp.floor(x), jnp.floor(y)
         u, v = smoothstep(x - i), smoothstep(y - j)
         left, right = i % n, (i + 1) % n
-        below = _hashed(own, left, j) * (1 - v) + _hashed(own, left, j + 1) * v
-        above = _hashed(own, right, j) * (1 - v) + _hashed(own, right, j + 1) * v
+        below = hashed(own, left, j) * (1 - v) + hashed(own, left, j + 1) * v
+        above = hashed(own, right, j) * (1 - v) + hashed(own, right, j + 1) * v
         return total + (below * (1 - u) + above * u) / scale
 
     total = jnp.zeros(jnp.broadcast_shapes(turns.shape, radius.shape), radius.dtype)
@@ -62,7 +62,7 @@ def split_seed(seed: Seed, n: int) -> list[Seed]:
     return [_mixed(seed + jnp.uint32(0x632BE5AB * (i + 1) % 2**32)) for i in range(n)]
 
 
-def _hashed(seed: Seed, i: NoiseField, j: NoiseField) -> NoiseField:
+def hashed(seed: Seed, i: NoiseField, j: NoiseField) -> NoiseField:
     """Uniform on −1 to 1 at whole i, j ≥ 0; XLA compiles as many draws of its own for 30 s."""
     x, y = i.astype(jnp.uint32), j.astype(jnp.uint32)
     x = x * jnp.uint32(0x9E3779B1) + y * jnp.uint32(0x85EBCA77)
@@ -71,4 +71,4 @@ def _hashed(seed: Seed, i: NoiseField, j: NoiseField) -> NoiseField:
 
 def drawn(seed: Seed, n: int, k: Whole, dtype: DTypeLike) -> NoiseField:
     """The k-th of n-tuples uniform on 0 to 1, shape (n,)."""
-    return 0.5 + 0.5 * _hashed(seed, jnp.arange(n).astype(dtype), jnp.full(n, k, dtype))
+    return 0.5 + 0.5 * hashed(seed, jnp.arange(n).astype(dtype), jnp.full(n, k, dtype))

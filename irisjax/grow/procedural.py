@@ -1,9 +1,10 @@
 """Procedural irides: maps grown from a seed.
 
-The stroma follows the ultrasound profile of [F09 Section 3] and has two layers. Fine radial fibres
-run from pupil to root; outside the collarette an upper leaf of thicker cords lies over them, with
-Fuchs's crypts as openings. Pigment lies in rings, patches and veils.
-Features are drawn from what textbooks show, not fitted to anything.
+The stroma follows the ultrasound profile of [F09 Section 3] and has two layers. A meshwork of fine
+fibres that lean to either side and cross lies below; above it cords of uneven thickness are
+gathered in bundles, which part and join. Fuchs's crypts are gaps between bundles, open in a wreath
+outside the collarette. Density, sharpness and pigment vary in clouds, sectors and rings.
+Features are drawn from what photographs show, not fitted to anything.
 """
 
 import math
@@ -18,7 +19,7 @@ from jaxtyping import Array
 
 from irisjax._types import PRNGKey, Scalar
 from irisjax.anatomy.eye import Eye
-from irisjax.grow.noise import NoiseField, Seed, Whole, drawn, noise, noises, split_seed
+from irisjax.grow.noise import NoiseField, Seed, Whole, drawn, hashed, noise, noises, split_seed
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.interpolation import smoothstep
 from irisjax.tissue.iris import Iris
@@ -32,6 +33,10 @@ STROMA, ABL, MELANIN = (0.15, 2.5), (0.5, 1.6), (0.4, 2.5)
 FOLD = 0.025  # height of a contraction furrow's crest, mm
 REST = 1.9
 """Radius of the pupil, mm, at which an iris has its mean thicknesses."""
+CELLS = (67, 5, 1.0), (139, 4, 0.0)
+"""Cells between bundles of fibres, wide ones and slits: how many round the iris and along the
+radius, and whether they are wide."""
+WREATH = 67  # crypts, at which all wide cells near the collarette are open
 FINEST = 0.045  # mm between neighbouring fibres, below which they are not drawn
 _Radius = TypeVar("_Radius", Array, np.ndarray)
 
@@ -43,6 +48,8 @@ def procedural(
     shape: tuple[int, int] = (768, 256),
     profile: bool = True,
     fibres: float = 1.0,
+    looseness: float = 0.5,
+    clouds: float = 1.0,
     collarette: float = 1.0,
     crypts: int = 14,
     furrows: int = 4,
@@ -67,9 +74,12 @@ def procedural(
         shape: Numbers of angles and radii; fewer than 768 angles coarsen the finest fibres.
         profile: Whether the stroma thins towards the root as in ultrasound.
         fibres: Contrast of the radial fibres, 1 as in a light iris.
+        looseness: How far bundles of fibres part, wave and cross, in patches: 0 straight and dense,
+            1 a net.
+        clouds: Contrast of denser and of clearer parts of the stroma, of several sizes.
         collarette: Height of the wreath between pupillary and ciliary zone.
-        crypts: Number of groups of openings near the collarette; each has a small one nearer the
-            root.
+        crypts: Number of openings expected near the collarette, at most `WREATH`: gaps between
+            bundles of fibres. In proportion there are small ones nearer the root.
         furrows: Number of concentric contraction furrows, partial arcs in the ciliary zone.
         freckles: Number of spots.
         abl: How far the anterior border layer is thinned over crypts, gathered on the crests of
@@ -97,12 +107,12 @@ def procedural(
     if shape[0] < 16 or shape[1] < 8:
         raise ValueError(f"shape {shape} is below (16, 8)")
     eye = Eye() if eye is None else eye
-    # Fibres cost most and are left out where there are none. How much there is of any feature is no
-    # new program: an eye of another colour grows by the program of the first.
+    # How much there is of any feature is no new program: an eye of another colour grows by the
+    # program of the first.
     counts = "crypts", "furrows", "freckles"
     amounts = {k: jnp.asarray(v, None if k in counts else float) for k, v in wanted.items()}
-    maps = _grow(iris, eye, shape, profile, bool(fibres), amounts, key)
-    rough = fibres or collarette or crypts or ruff
+    maps = _grow(iris, eye, shape, profile, amounts, key)
+    rough = fibres or collarette or crypts or ruff or clouds
     absent = {
         "stroma_depth": not (profile or rough),
         "relief": not (relief and (rough or furrows or abl)),
@@ -115,62 +125,72 @@ def procedural(
 
 
 @eqx.filter_jit
-def _grow(
-    iris: Iris, eye: Eye, shape, profile: bool, fibrous: bool, much, key
-) -> dict[str, NoiseField]:
+def _grow(iris: Iris, eye: Eye, shape, profile: bool, much, key) -> dict[str, NoiseField]:
     """All maps, with those of features of which there is nothing."""
     angles, radii = cell_centres(shape)
     turns, radius = jnp.broadcast_arrays(angles[:, None] / (2 * jnp.pi), radii)
     place = eye.from_axis(radius)
     seeds = jax.vmap(lambda i: bits(fold_in(key, i), dtype=jnp.uint32))(jnp.arange(6))
     fibres, wreath, crypts, furrows, freckles, slow = seeds
-    # One program for all slow fields: a bend of the cords, and clouds of pigment and of tissue.
-    kinds = [(9, 2, 3), (3, 1, 2), (7, 3, 4), (22, 9, 4), (90, 4, 2), (36, 13, 2), (48, 24, 3)]
-    bend, wide, cloud, mist, streak, arc, wool = noises(slow, turns, radius, kinds)
+    # One program for all slow fields: bends of the cords, and clouds of pigment and of tissue.
+    kinds = [
+        (9, 2, 3),
+        (3, 1, 2),
+        (7, 3, 4),
+        (22, 9, 4),
+        (36, 13, 2),
+        (48, 24, 3),
+        (6, 2, 2),
+        (5, 2, 2),
+    ]
+    bend, wide, cloud, mist, arc, wool, blur, open_ = noises(slow, turns, radius, kinds)
     slack = (eye.iris_radius - REST) / (eye.iris_radius - eye.pupil_radius)  # of cords and folds
     # Tissue over the area that is left to it, relative to that at rest; by rings and in the mean.
     rest = eye.replace(pupil_radius=jnp.asarray(REST, place.dtype))
     pressed = rest.ring_area(radius) / eye.ring_area(radius)
     total = (eye.iris_radius**2 - REST**2) / (eye.iris_radius**2 - eye.pupil_radius**2)
-    bent = turns + 0.006 * slack * bend
+    loose = much["looseness"] * smoothstep(0.5 + 1.6 * open_)
+    focus = 0.3 + 0.7 * smoothstep(0.55 + 1.4 * blur)
+    bent = turns + slack * (0.006 * bend + 0.003 * loose * arc)
     ring = COLLARETTE + _wander(wreath, turns)
-    outside = smoothstep((radius - ring) / 0.05 + 0.5)
-    region, parted = _crypts(crypts, turns, radius, mist, streak, much["crypts"])
-    bent += parted
+    pitch = 2 * jnp.pi * place / FINEST  # fibres that find room round this ring
+    share = much["crypts"] / WREATH * jnp.exp(2 * open_)
+    cells = crypts, bent, radius, ring, loose, mist, share, pitch, shape[0]
+    bent, hole, seam, rough = _bundles(*cells)
     crest = _furrows(furrows, turns, radius, much["furrows"])
-    within, surface = 0.0, jnp.zeros_like(radius)
-    cords, gap = 0.45, 1.0
-    if fibrous:
-        pitch = 2 * jnp.pi * place / FINEST  # fibres that find room round this ring
-        mesh, cords, spokes = _fibres(fibres, bent, radius, slack, pitch, shape[0])
-        gap = smoothstep((0.95 - cords) / 0.5)  # cords bridge an opening
-        # Near the root the cords bend into arcs.
-        root = jnp.exp(-((3 * arc) ** 2)) * smoothstep((radius - 0.6) / 0.3)
-        within = much["fibres"] * (0.8 * mesh + 0.35 * wool + 0.6 * root)
-        upper = outside * 1.8 * (cords - 0.55) + (1 - outside) * 1.3 * (spokes - 0.6)
-        surface += much["fibres"] * ((1 + 0.5 * cloud) * upper + (mist + cloud + wide) / 4)
-    surface += much["collarette"] * _wreath(wreath, turns, radius, ring)
-    hole = region * gap * jnp.minimum(1.0, 1.3 / slack)  # a wide pupil closes them
-    surface -= 2.2 * hole
+    lean = (0.02 + 0.05 * loose) * (radius + 0.1 * arc)
+    cords, mesh, streak = _fibres(fibres, bent, lean, radius, slack, pitch, shape[0])
+    outside = smoothstep((rough - ring) / 0.06 + 0.5)
+    # Near the root the cords bend into arcs.
+    root = jnp.exp(-((3 * arc) ** 2)) * smoothstep((radius - 0.6) / 0.3)
+    hole = hole * smoothstep((1.1 - cords) / 0.5)  # cords bridge an opening
+    hole *= jnp.minimum(1.0, 1.3 / slack)  # a wide pupil closes them
+    clear = much["fibres"] * focus
+    within = clear * ((0.5 + 0.7 * hole) * mesh + 0.35 * wool + 0.4 * root)
+    upper = (0.9 + 0.8 * outside) * (cords - 0.3) + 0.8 * outside * loose * (seam - 0.3)
+    surface = clear * upper
+    surface += much["clouds"] * (0.45 * cloud + 0.35 * wide + 0.35 * mist) * (0.4 + 0.6 * outside)
+    surface += much["collarette"] * _wreath(wreath, turns, rough, ring)
+    surface -= 0.6 * hole
     rim = jnp.where(much["ruff"] > 0, _ruff(wreath, turns, radius / slack), 0.0)
-    within -= 2.5 * much["ruff"] * rim
+    within -= 2.5 * much["ruff"] * rim + 1.2 * hole
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
     stroma *= pressed * jnp.exp(surface + within)
-    mottled = 0.35 * streak + 0.3 * cloud + 0.3 * crest - 0.6 * hole + 0.5 * (cords - 0.45)
+    mottled = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * (cords - 0.3)
     thickness = pressed * jnp.maximum(1 + much["abl"] * mottled, 0.0)
     thickness = _bounded(thickness, place, total * iris.abl_thickness, ABL)
     uneven = total * iris.stroma_thickness * _softened(jnp.tanh(surface))
     uneven += jnp.where(much["abl"] > 0, thickness - total * iris.abl_thickness, 0.0)
     reach = ring + 0.14 + 0.15 * cloud + 0.25 * streak
-    inner = smoothstep((reach - radius) / 0.25 + 0.5)
+    inner = smoothstep((reach - rough) / 0.25 + 0.5)
     brown = 1 + much["heterochromia"] * inner * (1 + 0.7 * mist)
     root = smoothstep((radius - 0.86 + 0.12 * cloud) / 0.16)
-    dark = cloud + 0.7 * wide + 0.5 * mist + 0.5 * streak + 0.9 * root
-    dark += 2.0 * rim - 0.8 * (cords - 0.45)
+    dark = 0.8 * cloud + 0.6 * jnp.tanh(4 * wide) + 0.6 * mist + 0.5 * streak + 0.9 * root
+    dark += 2.0 * rim + 1.5 * hole - clear * (1.5 * (cords - 0.3) + 0.4 * mesh)
     brown *= jnp.exp(much["patches"] * dark)
     reach = ring + 0.3 + 0.2 * wide - 0.2 * cloud + 0.2 * streak
-    inner = smoothstep((reach - radius) / 0.5 + 0.5)
-    yellow = 1 + much["amber"] * inner * (1 + 0.5 * mist)
+    inner = smoothstep((reach - rough) / 0.5 + 0.5)
+    yellow = 1 + much["amber"] * inner * (1 + 0.8 * mist + 0.4 * cloud)
     spots = freckles, turns, rest.from_axis(radius), rest, mist + wool
     return {
         "stroma_depth": _bounded(stroma, place, total * iris.stroma_thickness, STROMA),
@@ -212,47 +232,130 @@ def _bounded(thickness, place, mean, within: tuple[float, float]) -> NoiseField:
     return _scaled(jnp.clip(_scaled(thickness, place, mean), low * mean, high * mean), place, mean)
 
 
-def _strands(seed: Seed, turns, radius, count: int, width: float, sway: Scalar) -> NoiseField:
-    """Height, 0 to 1, of `count` wavy strands that join and branch: the higher one lies on top."""
-    where, wave, high = split_seed(seed, 3)
+def _strands(seed: Seed, turns, radius, count: int, sway: Scalar) -> NoiseField:
+    """Height, 0 to 1, of `count` wavy cords, most of them low and thin and a few high and thick,
+    each of which ends somewhere.
+    """
+    wave, *own = split_seed(seed, 5)
     x = turns * count
 
     def over(top, offset):
         strand = jnp.floor(x) + offset
-        at = strand / count
-        shift = noise(wave, at, radius, (count, 3), 2)
-        centre = strand + 0.5 + 0.6 * noise(where, at, 0 * radius, (count, 1)) + sway * shift
-        height = noise(high, at, radius, (count, 3))
-        off = (x - centre) / (width * (1 + 0.5 * height))
-        return jnp.maximum(top, (0.7 + 0.3 * height) * jnp.exp(-off * off)), None
+        where, size, middle, length = (hashed(s, strand % count, 0 * x) for s in own)
+        size = ((1 + size) / 2) ** 3
+        shift = 0.8 * where + sway * noise(wave, strand / count, radius, (count, 4), 2)
+        off = (x - strand - 0.5 - shift) / (0.14 + 0.4 * size)
+        ends = jnp.abs(radius - 0.55 - 0.4 * middle) / (0.45 + 0.25 * length)
+        height = (0.25 + 0.75 * size) * smoothstep(3 - 3 * ends)
+        return jnp.maximum(top, height * jnp.exp(-off * off)), None
 
     return jax.lax.scan(over, jnp.zeros_like(x), jnp.arange(-2, 3).astype(x.dtype))[0]
 
 
-def _fibres(seed: Seed, turns, radius, slack, room, angles: int) -> tuple[NoiseField, ...]:
-    """Fine fibres everywhere, about 0; cords of the upper leaf and pupillary spokes, 0 to 1."""
-    fine, coarse, middle, inner = split_seed(seed, 4)
-    # Ridges at the zeros of noise: they join in long loops, which is a meshwork.
-    counts = [(min(n, angles // 4), m, 1) for n, m in ((61, 2), (113, 3), (191, 5))]
-    mesh = jnp.zeros_like(radius)
-    for field, (n, *_) in zip(noises(fine, turns, radius, counts), counts, strict=True):
+def _fibres(
+    seed: Seed, turns, lean, radius, slack, room, angles: int
+) -> tuple[NoiseField, NoiseField, NoiseField]:
+    """Cords of the upper leaf, from 0; the finer meshwork below, about 0; and streaks along both.
+
+    Ridges at the zeros of noise lie at uneven distances, join and end. Of the upper ones the finer
+    lie along the coarser, so that they are gathered in bundles and brightness is heavy-tailed. The
+    lower ones lean to either side and cross.
+    """
+    few, many = split_seed(seed, 2)
+    kinds = [(19, 2), (41, 3), (89, 4), (167, 6), (61, 5), (71, 5), (139, 8), (157, 8), (90, 4)]
+    kinds = [(min(n, angles // 4), m) for n, m in kinds]
+    leaning = jnp.asarray([0.0, 0.2, -0.2, 0.0, 1.0, -1.0, 1.0, -1.0, 0.0], radius.dtype)
+    table = jnp.stack(split_seed(many, len(kinds))), *jnp.asarray(kinds).T, leaning
+
+    def field(kind):
+        seed, around, along, by = kind
+        return noise(seed, turns + by * lean, radius, (around, along))
+
+    *fields, streak = jax.lax.map(field, table)
+    ridges = []
+    for f, (n, _) in zip(fields, kinds, strict=False):
         # No ridge is narrower than two texels, nor drawn where many share a picture's pixel.
-        ridge = jnp.exp(-((min(5.0, angles / (2.4 * n)) * field) ** 2))
-        mesh += smoothstep(room / n - 0.5) * (ridge - ridge.mean())
-    few, many = (min(n, angles // 5) for n in (59, 149))
-    thick = _strands(coarse, turns, radius, few, 0.3, 0.55 * slack)
-    thin = _strands(middle, turns, radius, many, 0.3, 0.9 * slack)
-    cords = jnp.maximum(thick, 0.85 * thin)
-    spokes = _strands(inner, turns, radius, min(110, angles // 4), 0.42, 0.5 * slack)
-    spokes = 0.5 + smoothstep(room / 110 - 0.3) * (spokes - 0.5)
-    return mesh, cords, spokes
+        ridge = jnp.exp(-((min(5.0, angles / (2.4 * n)) * f) ** 2))
+        mean = ridge.mean()
+        ridges.append(mean + smoothstep(room / n - 0.5) * (ridge - mean))
+    upper, gathered = 0.0, 1.0
+    for ridge, height in zip(ridges[:4], (0.3, 0.4, 0.5, 0.4), strict=True):
+        upper += height * gathered * ridge
+        gathered = 0.35 + ridge
+    cords = jnp.maximum(upper, _strands(few, turns, radius, min(59, angles // 5), 0.8 * slack))
+    lower = sum(ridges[4:])
+    return cords, lower - jnp.mean(lower), streak
+
+
+def _bundles(
+    seed: Seed, turns, radius, ring, loose, ragged, share, room, angles: int
+) -> tuple[NoiseField, NoiseField, NoiseField, NoiseField]:
+    """Gaps between bundles of fibres, which part and join round cells of two sizes.
+
+    Returns:
+        Turns along the fibres, depth of the open cells and height of the bundles, 0 to 1, and the
+        radius, ragged by the cells.
+    """
+
+    def layer(carry, kind):
+        turns, hole, seam, _ = carry
+        own_seed, across, along, wide = kind
+        border, off, chance, middle = _cells(own_seed, turns, radius, across, along)
+        # Wide ones are open in a wreath, slits about it, and a few of both out to the root.
+        wreath = jnp.exp(-(((middle - ring - 0.12) / 0.16) ** 2))
+        slits = 0.6 * smoothstep((ring + 0.25 - middle) / 0.3) + 0.1
+        odds = share * (wide * wreath + (1 - wide) * slits)
+        odds *= smoothstep(room / across - 0.3)  # none where many share a picture's pixel
+        deep = smoothstep(1.5 - chance / jnp.maximum(odds, 1e-6))
+        hole = jnp.maximum(hole, deep * smoothstep((border - 0.1 + 0.3 * ragged) / 0.5))
+        height = jnp.exp(-((border / (0.2 + 0.1 * ragged)) ** 2))
+        turns -= (0.35 * loose + 0.4 * deep) * off
+        return (turns, hole, jnp.maximum(seam, height), middle), middle
+
+    cells = [(min(n, angles // 4), *others) for n, *others in CELLS]
+    kinds = jnp.asarray(split_seed(seed, 2)), *jnp.asarray(cells, radius.dtype).T
+    start = turns, 0 * radius, 0 * radius, 0 * radius
+    (turns, hole, seam, _), middles = jax.lax.scan(layer, start, kinds)
+    return turns, hole, seam, radius + 0.5 * (middles[0] - radius)
+
+
+def _cells(seed: Seed, turns, radius, across, along) -> tuple[NoiseField, ...]:
+    """Cells about scattered points: by how much the second point is farther than the nearest, in
+    cells, and of the nearest, blended at borders: its offset in turns, a number of its own from 0
+    to 1, and its radius.
+
+    Rows are staggered and distances between those of a circle and a rhomb, so that cells end in
+    points.
+    """
+    draws = split_seed(seed, 4)
+    y = radius * along + 1
+
+    def nearer(carry, offset):
+        first, second, *sums = carry
+        row = jnp.floor(y) + offset[1]
+        x = turns * across - 0.5 * (row % 2)
+        at = jnp.floor(x) + offset[0]
+        a, b, size, own = (hashed(s, at % across, row) for s in draws)
+        dx, dy = x - at - 0.5 - 0.4 * a, y - row - 0.5 - 0.4 * b
+        away = (jnp.abs(dx) + jnp.abs(dy) + jnp.hypot(dx, dy)) / 2 + 0.25 * size
+        second = jnp.minimum(second, jnp.maximum(first, away))
+        of_it = 1.0, dx / across, 0.5 + 0.5 * own, radius - dy / along
+        weight = jnp.exp(-15 * away)
+        sums = (total + weight * value for total, value in zip(sums, of_it, strict=True))
+        return (jnp.minimum(first, away), second, *sums), None
+
+    far, none = jnp.full_like(y, 9.0), jnp.zeros_like(y)
+    offsets = jnp.asarray([(i, j) for j in (-1, 0, 1) for i in (-1, 0, 1)], y.dtype)
+    start = far, far, none, none, none, none
+    first, second, weight, *sums = jax.lax.scan(nearer, start, offsets)[0]
+    return second - first, *(total / weight for total in sums)
 
 
 def _wander(seed: Seed, turns) -> NoiseField:
     """Deviation of the collarette from its mean radius, (angles, 1): teeth on a slow wander."""
     slow, teeth, *_ = split_seed(seed, 5)
     at, none = turns[:, :1], 0 * turns[:, :1]
-    tooth = jnp.abs(noise(teeth, at, none, (31, 1), 3))
+    tooth = jnp.abs(noise(teeth, at, none, (31, 1), 2))
     return 0.05 * noise(slow, at, none, (4, 1), 3) + 0.14 * (tooth - 0.3)
 
 
@@ -264,10 +367,10 @@ def _wreath(seed: Seed, turns, radius, ring) -> NoiseField:
 
     def cord(seed, spread, width):
         off = radius - ring - spread * noise(seed, at, none, (23, 1), 3)
-        return jnp.exp(-((off / jnp.where(off < 0, 0.025, width)) ** 2))
+        return jnp.exp(-((off / jnp.where(off < 0, 0.05, width)) ** 2))
 
     crests = jnp.maximum(cord(one, 0.05, 0.12), 0.8 * cord(two, 0.08, 0.05))
-    return 0.8 * height * crests - 0.15 * smoothstep((ring - radius) / 0.05)
+    return 0.8 * height * crests - 0.15 * smoothstep((ring - radius) / 0.08)
 
 
 def _ruff(seed: Seed, turns, radius) -> NoiseField:
@@ -275,30 +378,6 @@ def _ruff(seed: Seed, turns, radius) -> NoiseField:
     at, none = turns[:, :1], 0 * turns[:, :1]
     width = 0.024 + 0.016 * noise(split_seed(seed, 6)[5], at, none, (70, 1), 3)
     return smoothstep((width - radius) / 0.014 + 0.5)
-
-
-def _crypts(
-    seed: Seed, turns, radius, ragged, streak, count: Whole
-) -> tuple[NoiseField, NoiseField]:
-    """Depth of openings, 0 to 1, and by how much of a turn strands part round them."""
-
-    def dig(k, carry):
-        holes, parted = carry
-        a, b, c, d, e = drawn(seed, 5, k, radius.dtype)
-        angle = (k + 0.9 * a) / count  # once round by the collarette, once nearer the root
-        near = k < count
-        middle = jnp.where(near, COLLARETTE + 0.08 + 0.16 * b, 0.55 + 0.35 * b)
-        half_width = jnp.where(near, 0.006 + 0.014 * c**2, 0.002 + 0.003 * c)
-        half_length = jnp.where(near, 0.07 + 0.10 * d, 0.04 + 0.06 * d)
-        off = (turns - angle + 0.5) % 1.0 - 0.5
-        along = (radius - middle) / half_length
-        away = jnp.abs(off) / half_width + along**2  # a lens
-        depth = (0.55 + 0.45 * e) * jnp.where(near, 1.0, 0.6)
-        hole = depth * smoothstep(1.1 - 0.8 * away + 0.5 * ragged + 0.7 * streak)
-        push = 0.4 * off * jnp.exp(-0.5 * away)
-        return jnp.maximum(holes, hole), parted - push
-
-    return jax.lax.fori_loop(0, 2 * count, dig, (jnp.zeros_like(radius), 0 * turns))
 
 
 def _furrows(seed: Seed, turns, radius, count: Whole) -> NoiseField:

@@ -331,6 +331,8 @@ _EYE = (
 _IRIS = tuple(name for name in LIMITS if name != "ipe_melanin")
 FEATURES: dict[str, EntryCheck] = {
     "fibres": Range(0, 4),
+    "looseness": Range(0, 2),
+    "clouds": Range(0, 4),
     "collarette": Range(0, 4),
     "crypts": range(201),
     "furrows": range(51),

@@ -14,6 +14,7 @@ KEY = jax.random.key(7)
 NOTHING = {
     "profile": False,
     "fibres": 0.0,
+    "clouds": 0.0,
     "collarette": 0.0,
     "crypts": 0,
     "furrows": 0,
@@ -122,6 +123,7 @@ def test_profile_passes_through_ultrasound():
         ({}, set()),
         ({"profile": True, "relief": 0.0}, {"stroma_depth"}),
         ({"furrows": 2}, {"relief"}),
+        ({"clouds": 1.0, "relief": 0.0}, {"stroma_depth"}),
         ({"freckles": 2}, {"freckles"}),
         ({"heterochromia": 1.0}, {"eumelanin"}),
         ({"patches": 1.0}, {"eumelanin"}),
