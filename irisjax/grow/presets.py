@@ -42,12 +42,26 @@ _IRIDES = {  # for ILIT, and for radiative transfer, found by experiments/eye_co
     "dark-brown": ((1.25, 0.262, 0.459, 0.0787, 29.2), (0.756, 0.343, 0.478, 0.104, 31.8)),
 }
 _FEATURES: dict[str, dict[str, Any]] = {
-    "blue": {"fibres": 1.15, "patches": 0.8, "furrows": 2, "clouds": 1.3, "looseness": 0.6},
+    "blue": {
+        "fibres": 1.15,
+        "crypts": 9,
+        "patches": 0.5,
+        "furrows": 2,
+        "clouds": 1.3,
+        "looseness": 0.6,
+    },
     "grey": {"patches": 0.8, "crypts": 18, "collarette": 1.4, "looseness": 1.2, "clouds": 0.7},
     "green": {"amber": 1.5, "heterochromia": 2.0, "patches": 0.8, "crypts": 18, "abl": 0.5},
-    "hazel": {"heterochromia": 2.5, "patches": 0.45, "abl": 0.5, "freckles": 4, "crypts": 10},
+    "hazel": {
+        "heterochromia": 2.2,
+        "patches": 0.35,
+        "abl": 0.35,
+        "freckles": 4,
+        "crypts": 6,
+        "clouds": 0.6,
+    },
     "amber": {"heterochromia": 0.5, "patches": 0.5, "abl": 0.6, "crypts": 8, "looseness": 0.2},
-    "brown": {"abl": 0.8, "patches": 0.35, "crypts": 14, "furrows": 6},
+    "brown": {"abl": 0.6, "patches": 0.3, "crypts": 14, "furrows": 6},
     "dark-brown": {"abl": 0.6, "patches": 0.3, "crypts": 10, "furrows": 7, "looseness": 0.2},
 }
 
