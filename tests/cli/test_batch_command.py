@@ -30,7 +30,7 @@ def searched(quick, monkeypatch):
 
         return Fit(
             values={n: mean for n in problem.free},
-            sd={n: mean for n in problem.free},
+            sd={n: (1 + k) * mean for k, n in enumerate(problem.free)},
             z=jnp.asarray(np.zeros((count, free))),
             jacobian=jnp.asarray(np.zeros((count, 1, free))),
             covariance=jnp.asarray(np.stack([np.eye(free)] * count)),
@@ -83,8 +83,11 @@ def test_batch(irisjax, eye, searched, tmp_path):
     every = [(f"e{i}", one, other) for i in range(3) for one in free for other in free]
     assert [place for *place, _ in long] == [[*place] for place in every]
     assert long[0][3]["prior"] == "lognormal(0.15, 1.2)"
-    spread = float(rows["e0"]["melanin_load_sd"])
-    assert float(long[0][3]["covariance"]) == pytest.approx(spread**2, rel=1e-4)
+    spread = {name: float(rows["e0"][f"{name}_sd"]) for name in free}
+    assert spread["hemoglobin"] == pytest.approx(2 * spread["melanin_load"], rel=1e-4)
+    for _, name, other, row in long[:4]:
+        wanted = spread[name] ** 2 if name == other else 0.0
+        assert float(row["covariance"]) == pytest.approx(wanted, rel=1e-4)
     names = ("melanin_load", "chi_square")
     assert [rows["e0"][n] for n in names] == [rows["e2"][n] for n in names]
     # The mended eye alone is done again.
@@ -222,6 +225,6 @@ def test_melanin_of_the_abl_is_their_product(irisjax, eye, searched, tmp_path):
     row = {name: float(rows["left"][name]) for name in ("melanin_load", "abl_melanin")}
     assert row["abl_melanin"] == pytest.approx(row["melanin_load"] ** 2, rel=1e-5)
     spread = float(rows["left"]["abl_melanin_sd"])
-    assert spread == pytest.approx(np.sqrt(2) * row["abl_melanin"], rel=1e-5)
+    assert spread == pytest.approx(np.sqrt(1 + 2**2) * row["abl_melanin"], rel=1e-5)
     assert rows["left"]["status"] == "doubtful"
     assert "are read as light of single wavelengths" in rows["left"]["warnings"]
