@@ -19,6 +19,7 @@ READABLE = (".exr", ".hdr", ".png", ".jpg", ".jpeg")
 """Kinds of picture that can be read."""
 
 _PNG, _LAST = b"\x89PNG\r\n\x1a\n", b"IEND"  # signature and last chunk
+_COMPRESSION = 3  # level of PNG: in 0.4 of the time of the usual 6, for a sixth more bytes
 _Check = Callable[[Any], None]
 _SPECTRAL = re.compile(r"(S[0-3]|T)\.\d+(,\d+)?nm")
 
@@ -83,8 +84,9 @@ def write_png(
             clipped += out
             yield values
 
-    attributes = {"Software": "irisjax", "oiio:ColorSpace": "srgb_rec709_scene"}
-    attributes |= {"ImageDescription": remark} if remark else {}
+    attributes: dict[str, str | int] = {"ImageDescription": remark} if remark else {}
+    attributes |= {"Software": "irisjax", "oiio:ColorSpace": "srgb_rec709_scene"}
+    attributes["png:compressionLevel"] = _COMPRESSION
     _write(path, ".png", steps(), rows, ("R", "G", "B"), attributes)
     return clipped
 
@@ -229,7 +231,7 @@ def _write(
     bands: Iterator[np.ndarray],
     rows: int | None,
     channels: Sequence[str],
-    attributes: Mapping[str, str],
+    attributes: Mapping[str, str | int],
 ) -> None:
     with naming(path):
         check_image_suffix(path, (suffix,))
