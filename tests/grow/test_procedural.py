@@ -103,6 +103,22 @@ def test_strands_run_radially(everything):
     assert np.diff(m, axis=0).std() > 2 * np.diff(m, axis=1).std()
 
 
+def test_crypts_open_near_the_collarette_and_loose_fibres_cross():
+    grown = {
+        (crypts, looseness): np.asarray(
+            procedural(
+                ij.Iris(), shape=SHAPE, crypts=crypts, looseness=looseness, key=KEY
+            ).stroma_depth
+        )
+        for crypts, looseness in ((0, 0.0), (50, 0.0), (0, 2.0))
+    }
+    closed, open_, loose = grown.values()
+    thinned = (open_ < 0.5 * closed).mean(0)
+    assert thinned[10:30].mean() > 0.05 > 2 * thinned[40:].mean()
+    along = [np.diff(np.log(m), axis=1)[:, 24:].std() for m in (closed, loose)]
+    assert along[1] > 1.2 * along[0]
+
+
 def test_noise_is_periodic():
     turns, radius = jnp.linspace(0, 1, 50), jnp.linspace(0, 1, 50)
     a, b = (noise(jnp.uint32(3), turns + k, radius, (6, 2), 3) for k in (0, 1))
