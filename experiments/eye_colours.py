@@ -58,8 +58,12 @@ USUAL = {  # eumelanin and pheomelanin, mg/ml: the order of LB06's levels, and P
 }
 BLOODLESS = {"blue": 0.04}
 """Usual haemoglobin, mmol/l, of colours whose thick cords would be pink with more."""
-INSIDE = np.array([(-0.75, 0.75), (-0.85, 0.85), (-0.85, 0.85)]).T
+INSIDE = ((-0.75, 0.75), (-0.85, 0.85), (-0.85, 0.85))
 """Standard deviations of L*, a* and b* within which a colour is as good as the mean."""
+OWN = {  # the same, of the two that would else look alike
+    "blue": ((-0.75, 0.75), (-0.93, 0.85), (-0.85, 0.58)),
+    "grey": ((-0.75, 0.75), (-0.5, 0.5), (-0.2, 0.5)),
+}
 OVER_WHITE = 0.11, 0.33
 """Luminance over the white's within which the same holds."""
 STIFF = 60.0  # weight of a standard deviation, or of a fifth of that luminance, beyond these
@@ -199,6 +203,7 @@ def search(colour, base, eye, quick=False):
     bounds = np.array([given[2] for given in FREE.values()]).T
     bounds[1, :2] = 3 * usual[:2]
     to_log = functools.partial(_where, np.log)
+    allowed = np.array(OWN.get(colour, INSIDE)).T
 
     @functools.lru_cache(maxsize=4)
     def seen(values):
@@ -209,7 +214,7 @@ def search(colour, base, eye, quick=False):
     def cost(values):
         *off, over_white = seen(tuple(values))
         beyond = 5 * (np.log(over_white) - np.clip(np.log(over_white), *np.log(OVER_WHITE)))
-        off = np.append(off - np.clip(off, *INSIDE), beyond)
+        off = np.append(off - np.clip(off, *allowed), beyond)
         return np.concatenate([STIFF * off, (values - to_log(usual)) / width])
 
     fits = []

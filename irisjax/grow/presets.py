@@ -33,12 +33,12 @@ _SATURATION = 0.95
 # Of the stroma, mm, where LB06's is too thin for so bright and red a class.
 _THICKNESS = {"hazel": 0.35, "amber": 0.45, "brown": 0.35}
 _IRIDES = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.104, 0.015, 0.497, 0.194, 8.39), (0.11, 0.0216, 0.48, 0.135, 15.5)),
-    "grey": ((0.101, 0.03, 0.502, 0.084, 8.92), (0.0984, 0.0299, 0.499, 0.0819, 16.8)),
+    "blue": ((0.0216, 0.00742, 0.0558, 0.199, 7.33), (0.0153, 0.00516, 0.0365, 0.14, 13.7)),
+    "grey": ((0.0899, 0.031, 0.51, 0.136, 9.94), (0.102, 0.0303, 0.504, 0.09, 25.4)),
     "green": ((0.00545, 0.454, 0.98, 0.0119, 18.3), (0.0221, 0.602, 0.98, 0.0256, 33.8)),
-    "hazel": ((0.408, 0.711, 0.646, 0.206, 32.9), (0.196, 0.736, 0.591, 0.172, 31.4)),
+    "hazel": ((0.412, 0.886, 0.576, 0.2, 32.3), (0.193, 0.811, 0.553, 0.17, 31.5)),
     "amber": ((0.0464, 0.779, 0.582, 0.23, 39.0), (0.0241, 0.735, 0.832, 0.0875, 37.1)),
-    "brown": ((0.156, 1.21, 0.721, 0.375, 38.7), (0.197, 0.599, 0.746, 0.279, 35.0)),
+    "brown": ((0.169, 1.15, 0.731, 0.383, 38.6), (0.195, 0.597, 0.747, 0.28, 35.0)),
     "dark-brown": ((1.25, 0.262, 0.459, 0.0787, 29.2), (0.756, 0.343, 0.478, 0.104, 31.8)),
 }
 _FEATURES: dict[str, dict[str, Any]] = {
@@ -76,12 +76,12 @@ def preset(
     them for each process so that a picture in the studio shows the visible iris, through the cornea
     and with the preset's maps, in the colour of photographed irides within one standard deviation
     (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Among those
-    that do it takes the pigments nearest to usual ones and the weakest scattering: 8 to 39 times
-    LB06's by ILIT and 16 to 37 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
+    that do it takes the pigments nearest to usual ones and the weakest scattering: 7 to 39 times
+    LB06's by ILIT and 14 to 37 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
     other soft tissues have. Hazel, brown and amber take a stroma of 0.35, 0.35 and 0.45 mm beside
     it. Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
     Exp. Eye Res. 67, 293]. The redness of photographed irides takes more blood than LB06's 0.084
-    mmol/l, at most 0.375, a sixth of pure blood; its saturation is 0.95, as in the choroid, where
+    mmol/l, at most 0.383, a sixth of pure blood; its saturation is 0.95, as in the choroid, where
     0.5 would take twice as much. Fibrils have LB06's radius, whose effect is that of the strength.
     Hazel and green eyes are browner near the pupil, where their maps add eumelanin.
 
