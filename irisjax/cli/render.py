@@ -36,8 +36,8 @@ _NARROW, _WIDE = 1.0, 3.5  # radii of the pupil at the turning points of `pupil`
 _TURN = math.radians(75.0)  # largest angle of the lamp off the axis in `light`
 _SWING = math.radians(50.0)  # of the camera to either side in `camera`
 # `pigment` divides both melanins by the first number and multiplies them by it, or by more until
-# they reach the second (mg/ml), which a brown eye has.
-_FACTOR, _DARK = 8.0, 3.0
+# they reach the second (mg/ml), with which a pale iris is dark too.
+_FACTOR, _DARK = 8.0, 6.0
 
 
 class ViewOptions(EyeWithPupil):
