@@ -179,12 +179,14 @@ class Kept:
             return None
         path = place / hashlib.sha256(words).hexdigest()
         try:
-            return _files(path)
+            program = _files(path)
+            return program._replace(result=pickle.loads(program.result))
         except Exception:  # not there, half a file, a compiler of another kind: compile again
             program = _compiled(self.__wrapped__, form, types)
         with suppress(Exception):  # results without a pickle, a compiler that cannot serialize
-            compiled, *about = program
+            compiled, result, linear_algebra = program
             executable = serialize_executable.serialize(compiled)
+            about = pickle.dumps(result, protocol=5), linear_algebra
             _write(path, pickle.dumps((*about, *executable), protocol=5))
         return program
 
@@ -220,6 +222,9 @@ def _compiled(function: Callable[..., Any], form: object, types: tuple[Any, ...]
 
 
 def _read(path: Path) -> _Program:
+    """Read a program, with its result's form as a pickle: whatever that names would be imported
+    here, and a module that two threads import at once may fail in both.
+    """
     result, linear_algebra, *executable = pickle.loads(path.read_bytes())
     if linear_algebra:
         _load_lapack()
