@@ -205,7 +205,7 @@ _ON_FOUR = Path(__file__).parent / "on_four_devices.py"
     ids=["two", "all"],
 )
 def test_solvers_derivatives_and_photons_on_a_mesh(cases, count):
-    """Of the largest differences that `on_four_devices.py` prints by name; an error is a text."""
+    """The script prints the largest difference of each case by its name, or an error as text."""
     flags = "--xla_force_host_platform_device_count=4 --xla_backend_optimization_level=0"
     environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "JAX_ENABLE_X64": "1"}
     done = subprocess.run(

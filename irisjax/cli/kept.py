@@ -1,4 +1,4 @@
-"""What a long job has done so far, on disk, so that a run which was stopped can be continued."""
+"""Results of a long job are kept on disk, so that a run which was stopped can be continued."""
 
 import hashlib
 import io

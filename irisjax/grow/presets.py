@@ -30,7 +30,7 @@ brown's mean.
 """
 _FIELDS = "eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "scattering_scale"
 _SATURATION = 0.95
-# Of the stroma, mm, where LB06's is too thin for so bright and red a class.
+# Thickness of the stroma, mm, where LB06's is too thin for so bright and red a class.
 _THICKNESS = {"hazel": 0.35, "amber": 0.45, "brown": 0.35}
 _IRIDES = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
     "blue": ((0.0216, 0.00742, 0.0558, 0.199, 7.33), (0.0153, 0.00516, 0.0365, 0.14, 13.7)),

@@ -323,7 +323,8 @@ def _weighted(flow: PosteriorFlow, problem: Problem, base: Any, rows: Any) -> An
 
         z, logs = jax.lax.map(draw, base, batch_size=_DRAWS)
         logs = jnp.where(jnp.isfinite(logs), logs, -jnp.inf)
-        weights = jnp.nan_to_num(jax.nn.softmax(logs))
+        # Without a draw of some density the softmax is NaN: all weights, and the efficiency, are 0.
+        weights = jnp.where(jnp.isfinite(logs).any(), jax.nn.softmax(logs), 0.0)
         return z, weights, frame.oddness, (frame.oddness > flow.limits).any()
 
     return jax.lax.map(one, rows)

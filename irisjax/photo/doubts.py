@@ -1,4 +1,4 @@
-"""What is doubtful about a clone, and what to do about it: one sentence for each doubt."""
+"""Doubts about a clone: each is a sentence that says what is doubtful and what to do about it."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ from irisjax.photo.clone import Coloured, Fitted, Outlined, Posed, Sampled
 from irisjax.photo.outlines import MIN_CONFIDENCE
 
 DOUBTS = ("outlines", "light", "model")
-"""What a doubt may be about: where the eye is, how it is lit, what the model makes of its iris."""
+"""Kinds of doubt: where the eye is, how it is lit, and what the model makes of its iris."""
 _OUTSIDE_SHARE = 0.05  # of an iris with colours that the model cannot make, above which it is said
 _DISTANCES = Range(80, 2000, "mm")  # of cameras that photograph an iris, macro to long lenses
 _PICTURES_OFF = 0.05  # RMS difference of the encoded pictures above which a clone is doubtful [F09]
@@ -20,7 +20,7 @@ _LEAST_RESPONSE = 0.1  # below it a photograph says little about the thickness
 
 
 class Doubt(NamedTuple):
-    """What is doubtful about a clone: one of `DOUBTS`, and a sentence."""
+    """A doubt about a clone: its kind, one of `DOUBTS`, and its sentence."""
 
     kind: str
     sentence: str
@@ -65,7 +65,7 @@ def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tup
         if found.photograph.grey:
             model.append("the photograph has no colours: the pigments are meaningless")
         model += (odd := pigments.misfits(found.fit, found.windows))
-        # Where every texel has a thickness of its own, that by the response is not the clone's.
+        # A clone whose texels each have a thickness does not use the one by the response.
         response = found.morphology.response if own is None else None
         if odd and response is not None:
             model.append(f"the thickness is that of a usual iris, whose response is {response:.2f}")

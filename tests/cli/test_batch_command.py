@@ -53,7 +53,7 @@ def rows_of(path):
 
 
 def truth_of(path):
-    """What a simulated measurement was made of."""
+    """Read the parameters that a simulated measurement was made with."""
     line = path.read_text().split("# truth: ")[1].splitlines()[0]
     pairs = (pair.split(" = ") for pair in line.split(", "))
     return {name: float(value) for name, value in pairs}

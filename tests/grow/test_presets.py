@@ -34,8 +34,10 @@ def test_presets_are_what_the_experiment_found():
 @pytest.mark.parametrize("integrator", ["separable", "radiative-transfer"])
 @pytest.mark.parametrize("colour", PRESETS)
 def test_pictures_have_the_colours_of_photographs(colour, integrator):
-    """By places in the picture: behind its cornea a pupil of 1.9 mm looks 2.15 mm wide, and iris
-    and white blend within 0.25 mm of the limbus, whose radius is 5.5 mm."""
+    """Iris and white are told apart by their places in the picture: behind its cornea a pupil of
+    1.9 mm looks 2.15 mm wide, and iris and white blend within 0.25 mm of the limbus, whose radius
+    is 5.5 mm.
+    """
     side, width = 128, 13.0
     text = f"""[iris]\npreset = "{colour}"\n[environment]\nkind = "studio"\n[maps]\nseed = 3
         [camera]\nsize = [{side}, {side}]\nwidth = {width}\nimages = 0.0"""

@@ -265,7 +265,7 @@ def yellow_ring(eye: Simulated) -> Simulated:
 
 
 def mirrored_horizon(eye: Simulated) -> Simulated:
-    """As bright as the iris, over a little more than half of the pupil."""
+    """A sky that is mirrored as brightly as the iris covers a little over half of the pupil."""
     _, v, r = places(eye)
     sky = ndimage.gaussian_filter(((r < 0.8) & (v < 0.05) & (v > -0.5)).astype(float), 0.6)
     return eye._replace(pixels=eye.pixels + sky[..., None] * [0.10, 0.16, 0.28])

@@ -160,7 +160,7 @@ def test_features_of_an_average_iris_have_no_place():
     """Turned maps give the same windows where every pixel sees them at all turns; maps that stand
     still do not.
     """
-    # As many pixels a window as are taken of a photograph.
+    # Windows hold as many pixels here as those that are taken of a photograph.
     camera = dataclasses.replace(CAMERA, size=(150, 150))
     clear, view = iris_alone(POSE._replace(camera=camera)), look(EYE, camera)
     pixels = choose_pixels(np.ones((150, 150, 3)), clear, view, EYE)

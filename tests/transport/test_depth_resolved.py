@@ -68,7 +68,7 @@ HARD = (np.array([0.02, 0.3, 1.0]), np.array([0.05, 0.0, 1.5]), np.array([0.2, 2
 
 
 def test_more_panels_change_nothing():
-    """To 1e-7, as promised."""
+    """The error is below 1e-7, as the solver promises."""
     standard, finer = (solve(layers(*HARD, IRIS), 0.6, s) for s in (SOLVER, FIVE))
     np.testing.assert_allclose(finer.reflectance, standard.reflectance, rtol=1e-7)
     np.testing.assert_allclose(finer.absorbed.ipe, standard.absorbed.ipe, rtol=1e-7)
