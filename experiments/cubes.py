@@ -2,7 +2,7 @@
 SciPy's least squares.
 
 A cube of a grown iris (64 % of its pixels) is mapped by the process that simulated it, in a process
-of its own; the peak of its memory is the system's count. A cube of sixteen times as many pixels, of
+of its own, without posteriors and with them; the peak of its memory is the system's count. A cube of sixteen times as many pixels, of
 which as many are fitted as of the smaller one's ring, shows that the memory does not grow. SciPy
 fits 50 of the pixels with the same forward model, the same priors and differences as derivatives.
 """
@@ -52,6 +52,16 @@ def main(key, quick=False, out=RESULTS):
                 (process, "peak memory", peak, "MiB"),
             ]
             covered += [(process, *row) for row in coverage(cube, maps)]
+            inferred = Path(temporary, f"posteriors-{process}")
+            flows = "--posterior", "--flows", Path(temporary, f"flows-{process}")
+            training, *_ = mapped(tiny, inferred, *flows)
+            seconds, cpu, peak = mapped(cube, inferred, *flows)
+            rows += [
+                (process, "posteriors of 16 by 16 (trains the flow): seconds", training, "s"),
+                (process, "posteriors: seconds", seconds, "s"),
+                (process, "posteriors: CPU seconds", cpu, "s"),
+                (process, "posteriors: peak memory", peak, "MiB"),
+            ]
             each, off = by_scipy(problem, spectra, maps, count)
             rows += [
                 (process, f"SciPy, {count} pixels: seconds a pixel", each, "s"),
