@@ -16,6 +16,7 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 # The first process to use an accelerator would otherwise take three quarters of its memory.
@@ -31,6 +32,7 @@ from experiments.common import RESULTS, start
 from irisjax.infer.fit import fit
 from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.observation import with_values
+from irisjax.infer.pixels import fit_pixels, prior_starts
 from irisjax.transport.defaults import exact_solver, table_for
 
 GRID = ij.wavelengths(400, 720, 4)
@@ -141,7 +143,7 @@ def _frames(key, quick):
 
 
 def _numbers(key, quick):
-    """Spectra, log probabilities, least squares and photons, in the precision that is set."""
+    """Spectra, probabilities, least squares, pixels and photons, in the precision that is set."""
     on_cpu = jax.default_backend() == "cpu"
     scale = 1 if quick else 16 if on_cpu else 1024
     for name, process in PROCESSES.items():
@@ -154,6 +156,7 @@ def _numbers(key, quick):
             problem = _problem(process, key)
             yield from _log_probabilities(name, problem, 64 * scale)
             yield from _least_squares(name, problem, key, 16 * scale)
+            yield from _cube(name, problem, key, 64 * min(scale, 16))
             if quick:
                 return
     else:
@@ -244,6 +247,16 @@ def _least_squares(name, problem, key, size):
 
     call = _everywhere(one, seen.values * (1 + 0.02 * noise), _together())
     yield from _timed(f"least squares of 31 wavelengths, {name}", size, call)
+
+
+def _cube(name, problem, key, size):
+    """Pixels of a cube as `irisjax map` fits them, shared among threads of the processor."""
+    values = problem.observations[0].values
+    pixels = np.asarray(values * (1 + 0.02 * jax.random.normal(key, (size, values.size))))
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+        starts = prior_starts(problem, pool.map)
+        call = partial(fit_pixels, problem, pixels, starts, pool.map)
+        yield from _timed(f"pixels of a cube of 31 bands, {name}", size, call)
 
 
 def _photons(name, process, key, size, lanes=1 << 14):

@@ -2,9 +2,10 @@
 SciPy's least squares.
 
 A cube of a grown iris (64 % of its pixels) is mapped by the process that simulated it, in a process
-of its own, without posteriors and with them; the peak of its memory is the system's count. A cube of sixteen times as many pixels, of
-which as many are fitted as of the smaller one's ring, shows that the memory does not grow. SciPy
-fits 50 of the pixels with the same forward model, the same priors and differences as derivatives.
+of its own, without posteriors and with them; the peak of its memory is the system's count. A cube
+of sixteen times as many pixels, of which as many are fitted as of the smaller one's ring, shows
+that the memory does not grow. SciPy fits 50 of the pixels with the same forward model, the same
+priors and differences as derivatives.
 """
 
 import os
