@@ -51,5 +51,6 @@ def start(main: Callable, doc: str | None, out: Path = RESULTS) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, default=out, help="folder for the results")
     options = parser.parse_args()
+    options.out.mkdir(parents=True, exist_ok=True)
     jax.config.update("jax_enable_x64", True)
     main(jax.random.key(options.seed), quick=options.quick, out=options.out)
