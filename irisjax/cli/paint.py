@@ -38,6 +38,7 @@ from irisjax.ocularist.tissue import nearest_tissue
 from irisjax.render.environment import ENVIRONMENTS
 from irisjax.render.picture import draw, draw_bands
 from irisjax.render.scene import Scene
+from irisjax.tissue.iris import Iris
 
 _RETOUCHES = 6  # coats that follow a target's pattern, by default
 _SEARCH = 300  # evaluations of a match at most
@@ -131,6 +132,8 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
     asked = (_COATS, True), (_MESHES, results.meshes is not None), (_TISSUE, results.tissue)
     for name in (name for name, wanted in asked if wanted):
         check_is_folder(folder / name)
+    # Refused before the work rather than after it.
+    changed(Scene(Iris()), picture.light, picture.size, picture.camera)
     recipe, scans, files, messages = _prepared(subject, picture.texels, folder)
     # Half the memory of double precision, and the same picture to a few levels of 255.
     jax.config.update("jax_enable_x64", False)
