@@ -1,6 +1,5 @@
 """Colours of made eyes against the white beside them."""
 
-import colour
 import jax
 import numpy as np
 import pytest
@@ -27,6 +26,8 @@ KEY = jax.random.key(0)
 
 def linear(lab):
     """Linear sRGB under D65, by colour-science."""
+    import colour  # for a second, also in the worker that runs other files
+
     d65 = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
     xyz = colour.Lab_to_XYZ(lab, d65)
     return colour.XYZ_to_sRGB(
@@ -59,6 +60,8 @@ def measured(pixels, clear=None) -> EyeColour:
 
 
 def test_colours_of_rings_are_in_their_intervals(eye):
+    import colour
+
     found = measured(0.8 * eye)
     assert found.doubts == () and len(found.white.sides) == 2
     for name, lab in (("pupillary ring", INNER), ("ciliary ring", OUTER)):
