@@ -33,13 +33,13 @@ _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red a class.
 _THICKNESS = {"hazel": 0.35, "amber": 0.45, "brown": 0.35}
 _IRIDES = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.0216, 0.00742, 0.0558, 0.199, 7.33), (0.0153, 0.00516, 0.0365, 0.14, 13.7)),
-    "grey": ((0.0899, 0.031, 0.51, 0.136, 9.94), (0.102, 0.0303, 0.504, 0.09, 25.4)),
-    "green": ((0.00545, 0.454, 0.98, 0.0119, 18.3), (0.0221, 0.602, 0.98, 0.0256, 33.8)),
-    "hazel": ((0.446, 0.611, 0.659, 0.252, 35.0), (0.184, 0.784, 0.571, 0.183, 31.8)),
-    "amber": ((0.0464, 0.779, 0.582, 0.23, 39.0), (0.0241, 0.735, 0.832, 0.0875, 37.1)),
-    "brown": ((0.169, 1.15, 0.731, 0.383, 38.6), (0.195, 0.597, 0.747, 0.28, 35.0)),
-    "dark-brown": ((1.25, 0.262, 0.459, 0.0787, 29.2), (0.756, 0.343, 0.478, 0.104, 31.8)),
+    "blue": ((0.0182, 0.00738, 0.0244, 0.208, 7.35), (0.015, 0.00407, 0.024, 0.147, 13.8)),
+    "grey": ((0.0773, 0.0311, 0.512, 0.148, 9.92), (0.0354, 0.0702, 0.565, 0.113, 17.6)),
+    "green": ((0.0065, 0.452, 0.98, 0.0135, 18.3), (0.0248, 0.61, 0.98, 0.0288, 32.5)),
+    "hazel": ((0.459, 0.597, 0.66, 0.249, 34.8), (0.202, 0.74, 0.58, 0.187, 31.9)),
+    "amber": ((0.0569, 0.843, 0.569, 0.201, 40.0), (0.0597, 0.624, 0.944, 0.0867, 36.9)),
+    "brown": ((0.228, 1.08, 0.739, 0.359, 38.1), (0.207, 0.681, 0.742, 0.262, 35.1)),
+    "dark-brown": ((1.26, 0.251, 0.458, 0.0816, 28.6), (0.796, 0.329, 0.474, 0.103, 31.8)),
 }
 _FEATURES: dict[str, dict[str, Any]] = {
     "blue": {
@@ -53,9 +53,9 @@ _FEATURES: dict[str, dict[str, Any]] = {
     "grey": {"patches": 0.8, "crypts": 18, "collarette": 1.4, "looseness": 1.2, "clouds": 0.7},
     "green": {"amber": 1.5, "heterochromia": 2.0, "patches": 0.8, "crypts": 18, "abl": 0.5},
     "hazel": {"heterochromia": 2.5, "patches": 0.5, "abl": 0.9, "freckles": 4, "crypts": 8},
-    "amber": {"heterochromia": 0.5, "patches": 0.5, "abl": 0.6, "crypts": 8, "looseness": 0.2},
-    "brown": {"abl": 0.6, "patches": 0.3, "crypts": 14, "furrows": 6},
-    "dark-brown": {"abl": 0.6, "patches": 0.3, "crypts": 10, "furrows": 7, "looseness": 0.2},
+    "amber": {"heterochromia": 0.5, "patches": 0.5, "abl": 0.6, "crypts": 5, "looseness": 0.2},
+    "brown": {"abl": 0.6, "patches": 0.3, "crypts": 7, "furrows": 6},
+    "dark-brown": {"abl": 0.6, "patches": 0.3, "crypts": 5, "furrows": 7, "looseness": 0.2},
 }
 
 
@@ -76,12 +76,12 @@ def preset(
     them for each process so that a picture in the studio shows the visible iris, through the cornea
     and with the preset's maps, in the colour of photographed irides within one standard deviation
     (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Among those
-    that do it takes the pigments nearest to usual ones and the weakest scattering: 7 to 39 times
+    that do it takes the pigments nearest to usual ones and the weakest scattering: 7 to 40 times
     LB06's by ILIT and 14 to 37 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
     other soft tissues have. Hazel, brown and amber take a stroma of 0.35, 0.35 and 0.45 mm beside
     it. Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
     Exp. Eye Res. 67, 293]. The redness of photographed irides takes more blood than LB06's 0.084
-    mmol/l, at most 0.383, a sixth of pure blood; its saturation is 0.95, as in the choroid, where
+    mmol/l, at most 0.359, a sixth of pure blood; its saturation is 0.95, as in the choroid, where
     0.5 would take twice as much. Fibrils have LB06's radius, whose effect is that of the strength.
     Hazel and green eyes are browner near the pupil, where their maps add eumelanin.
 

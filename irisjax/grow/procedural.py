@@ -28,7 +28,7 @@ from irisjax.tissue.maps import IrisMaps, cell_centres
 IPE_THICKNESS = 0.07
 """Iris pigment epithelium, mm, part of what ultrasound measures  [F09 Section 3]."""
 COLLARETTE = 0.30  # mean place of the collarette between the pupil's edge (0) and the root (1)
-STROMA, ABL, MELANIN = (0.15, 2.5), (0.5, 1.6), (0.4, 2.5)
+STROMA, ABL, MELANIN = (0.15, 2.0), (0.5, 1.6), (0.4, 2.5)
 """Least and most of a map relative to its mean: wider ones cost the renderer's tables accuracy."""
 FOLD = 0.025  # height of a contraction furrow's crest, mm
 REST = 1.9
@@ -166,14 +166,14 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, much, key) -> dict[str, No
     hole = hole * smoothstep((1.1 - cords) / 0.5)  # cords bridge an opening
     hole *= jnp.minimum(1.0, 1.3 / slack)  # a wide pupil closes them
     clear = much["fibres"] * focus
-    within = clear * ((0.5 + 0.7 * hole) * mesh + 0.35 * wool + 0.4 * root)
+    within = clear * ((0.5 + 0.7 * hole) * mesh + 0.2 * wool + 0.3 * streak + 0.4 * root)
     upper = (0.9 + 0.8 * outside) * (cords - 0.3) + 0.8 * outside * loose * (seam - 0.3)
     surface = clear * upper
     surface += much["clouds"] * (0.45 * cloud + 0.35 * wide + 0.35 * mist) * (0.4 + 0.6 * outside)
     surface += much["collarette"] * _wreath(wreath, turns, rough, ring)
-    surface -= 0.6 * hole
+    surface -= 0.5 * hole
     rim = jnp.where(much["ruff"] > 0, _ruff(wreath, turns, radius / slack), 0.0)
-    within -= 2.5 * much["ruff"] * rim + 1.2 * hole
+    within -= 2.5 * much["ruff"] * rim + 0.6 * hole
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
     stroma *= pressed * jnp.exp(surface + within)
     mottled = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * (cords - 0.3)
@@ -186,7 +186,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, much, key) -> dict[str, No
     brown = 1 + much["heterochromia"] * inner * (1 + 0.7 * mist)
     root = smoothstep((radius - 0.86 + 0.12 * cloud) / 0.16)
     dark = 0.8 * cloud + 0.6 * jnp.tanh(4 * wide) + 0.6 * mist + 0.5 * streak + 0.9 * root
-    dark += 2.0 * rim + 1.5 * hole - clear * (1.5 * (cords - 0.3) + 0.4 * mesh)
+    dark += 2.0 * rim + 3.0 * hole - clear * (1.5 * (cords - 0.3) + 0.4 * mesh)
     brown *= jnp.exp(much["patches"] * dark)
     reach = ring + 0.3 + 0.2 * wide - 0.2 * cloud + 0.2 * streak
     inner = smoothstep((reach - rough) / 0.5 + 0.5)
@@ -370,7 +370,7 @@ def _wreath(seed: Seed, turns, radius, ring) -> NoiseField:
         return jnp.exp(-((off / jnp.where(off < 0, 0.05, width)) ** 2))
 
     crests = jnp.maximum(cord(one, 0.05, 0.12), 0.8 * cord(two, 0.08, 0.05))
-    return 0.8 * height * crests - 0.15 * smoothstep((ring - radius) / 0.08)
+    return 0.8 * height * crests - 0.35 * smoothstep((ring - radius) / 0.08)
 
 
 def _ruff(seed: Seed, turns, radius) -> NoiseField:
