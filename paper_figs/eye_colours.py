@@ -2,10 +2,8 @@
 they aim (simulated but for the latter).
 """
 
-from matplotlib.image import imread
-
 from irisjax.grow.presets import PHOTOGRAPHED_COLOURS
-from paper_figs.common import RESULTS, plt, read, save
+from paper_figs.common import plt, read, save
 
 COLOURS = {
     "blue": "C0",
@@ -18,20 +16,7 @@ COLOURS = {
 }
 MODELS = {"separable": ("o", "ILIT"), "radiative-transfer": ("s", "radiative transfer")}
 rows = read("eye_colours.csv")
-figure = plt.figure(figsize=(9.4, 7.2), layout="constrained")
-top, bottom = figure.subfigures(2, 1, height_ratios=(1.1, 1))
-picture = top.add_subplot()
-picture.imshow(imread(RESULTS / "eye_colours.png"))
-side = imread(RESULTS / "eye_colours.png").shape[0] / 2
-picture.set_xticks([side * (k + 0.5) for k in range(len(COLOURS))], list(COLOURS))
-picture.set_yticks(
-    [side / 2, 1.5 * side], [label for _, label in MODELS.values()], rotation=90, va="center"
-)
-picture.tick_params(length=0)
-picture.grid(False)
-for spine in picture.spines.values():
-    spine.set_visible(False)
-panels = bottom.subplots(1, 2)
+figure, panels = plt.subplots(1, 2, figsize=(9.4, 3.6), layout="constrained")
 for axes, (x, y, xl, yl) in zip(panels, ((1, 2, "a*", "b*"), (2, 0, "b*", "L*")), strict=True):
     for colour, (mean, spread) in PHOTOGRAPHED_COLOURS.items():
         axes.errorbar(
@@ -54,6 +39,6 @@ marks = [
 ]
 marks.append(plt.Line2D([], [], color="k", marker="D", mfc="w", ls="", ms=4, label="class, ±1 SD"))
 marks += [plt.Line2D([], [], color=c, lw=3, label=name) for name, c in COLOURS.items()]
-panels[0].legend(handles=marks, fontsize=7, ncols=2)
+figure.legend(handles=marks, fontsize=7, loc="outside right center")
 figure.suptitle("Procedural eye colours in pictures, by both models (simulated)", fontsize=10)
 save(figure, "eye_colours")
