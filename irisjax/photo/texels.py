@@ -53,8 +53,9 @@ GAINS = (1.0, 2.0, 0.5, 4.0, 8.0)
 """Factors on the fitted exposure that are tried, the likely ones first."""
 _PRIOR = 1.5  # standard deviation of the logarithms about the fitted iris, at the coarsest level
 _FINER = 0.5  # of those between a level and the next coarser one
-_STEPS = 12, 5, 4, 4  # of Levenberg and Marquardt at each level, from the coarsest
-_POLISH = 3  # with the table of the picture
+_STEPS = 12, 5, 4, 4  # most of Levenberg and Marquardt at each level, from the coarsest
+_POLISH = 3  # most with the table of the picture
+_SLIGHT = 0.1  # gain of twice the log density by a step that is the last of a chunk of pixels
 _NOISE = 0.006  # least standard deviation of an encoded channel: rounding, JPEG, the model
 _POWER, _DARK = 1 / 2.4, 1e-3  # of the encoding in which errors are alike, and its straight part
 _LONGEST, _DAMPING = 1.5, 1e-3  # longest step of a logarithm; damping of the first one
@@ -454,8 +455,12 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
             pull = weight * rates * (steep * (lit - _DARK))
             return cost, slope, told + bright * dims[:, None] * dims, told, pull, off
 
-        def step(_, state):
-            z, (cost, slope, matrix, *_), damping = at = state
+        def going(state):
+            return (state[0] < steps) & (state[1] > _SLIGHT)
+
+        def step(state):
+            count, _, *at = state
+            z, (cost, slope, matrix, *_), damping = at
             # A logarithm at the end of its range that would leave it is held.
             at_end = ((z <= low) & (slope < 0)) | ((z >= high) & (slope > 0))
             free = jnp.where(at_end, 0.0, 1.0)
@@ -465,9 +470,10 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
             found = around(moved)
             better = found[0] < cost
             kept = jax.tree.map(
-                lambda new, old: jnp.where(better, new, old), (moved, found), at[:2]
+                lambda new, old: jnp.where(better, new, old), (moved, found), (z, at[1])
             )
-            return *kept, damping * jnp.where(better, 0.3, 4.0)
+            gained = jnp.where(better, cost - found[0], 0.0).max()
+            return count + 1, gained, *kept, damping * jnp.where(better, 0.3, 4.0)
 
         start = centre
         if tried is not None and colours is not None:
@@ -480,7 +486,8 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
             start = tried[:, best]
         start = jnp.clip(start, low, high)
         begin = start, around(start), jnp.full_like(start[0], _DAMPING)
-        z, (*_, told, pull, off), _ = jax.lax.fori_loop(0, steps, step, begin)
+        begin = jnp.zeros_like(steps), jnp.asarray(jnp.inf, start.dtype), *begin
+        *_, z, (*_, told, pull, off), _ = jax.lax.while_loop(going, step, begin)
         # The coarser levels, which a prior is about, move with the exposures as well.
         firm = _inverse(told + (1 / _PRIOR**2 - prior) * eye)
         moved = (firm[:, :, None] * pull[None]).sum(1)
