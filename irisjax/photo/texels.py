@@ -55,7 +55,7 @@ _PRIOR = 1.5  # standard deviation of the logarithms about the fitted iris, at t
 _FINER = 0.5  # of those between a level and the next coarser one
 _STEPS = 12, 5, 4, 4  # most of Levenberg and Marquardt at each level, from the coarsest
 _POLISH = 3  # most with the table of the picture
-_SLIGHT = 0.1  # gain of twice the log density by a step that is the last of a chunk of pixels
+_SLIGHT = 0.1  # twice the log density that a chunk's last step gains, or promised if refused
 _NOISE = 0.006  # least standard deviation of an encoded channel: rounding, JPEG, the model
 _POWER, _DARK = 1 / 2.4, 1e-3  # of the encoding in which errors are alike, and its straight part
 _LONGEST, _DAMPING = 1.5, 1e-3  # longest step of a logarithm; damping of the first one
@@ -472,7 +472,8 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
             kept = jax.tree.map(
                 lambda new, old: jnp.where(better, new, old), (moved, found), (z, at[1])
             )
-            gained = jnp.where(better, cost - found[0], 0.0).max()
+            # A step that was refused is tried again, shorter: what it promised counts.
+            gained = jnp.where(better, cost - found[0], (slope * move).sum(0)).max()
             return count + 1, gained, *kept, damping * jnp.where(better, 0.3, 4.0)
 
         start = centre
