@@ -15,7 +15,7 @@ import numpy as np
 
 import irisjax as ij
 from irisjax.numerics import linear
-from irisjax.numerics.chunks import by_rows
+from irisjax.numerics.chunks import map_rows
 from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.tucker import Tucker, grid_points
 from irisjax.tissue.indices import RefractiveIndices
@@ -172,7 +172,7 @@ def _in_double(function, points: np.ndarray, outside: np.ndarray, indices: Refra
     with jax.enable_x64(True):
         wide = jax.tree.map(lambda n: jnp.asarray(np.asarray(n, np.float64)), indices)
         parts = [
-            by_rows(partial(function, outside=outside, indices=wide, how=how), points[at], CHUNK)
+            map_rows(partial(function, outside=outside, indices=wide, how=how), points[at], CHUNK)
             for at, how in zip((thin, ~thin), each, strict=True)
         ]
     places = np.argsort(np.concatenate([np.flatnonzero(thin), np.flatnonzero(~thin)]))

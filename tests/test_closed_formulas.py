@@ -1,6 +1,7 @@
 """Closed formulas: limits, slopes, and the equations they solve."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -33,8 +34,9 @@ def test_analytic_models_have_their_limits(solver):
 
 def one_layer(absorption, scattering):
     """A stroma of 1 mm."""
-    thick = {"abl_thickness": 0.0, "stroma_thickness": 1.0, "indices": ij.Iris().indices()}
-    return ij.Layers.from_coefficients(0.0, [absorption], [scattering], **thick)
+    depths = (jnp.array([x]) for x in (0.0, absorption, scattering))
+    indices = ij.Iris().indices()
+    return ij.Layers(*depths, indices=indices, order=indices.order())
 
 
 def test_kubelka_munk_is_the_two_stream_equations():

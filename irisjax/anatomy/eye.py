@@ -180,12 +180,12 @@ class Eye(eqx.Module):
         slope = 0.0 if self.iris_slope is None else self.iris_slope
         ring = self.iris_radius, self.limbus_radius, slope
         if self.cornea is not None and is_known(self.cornea, ring, self.iris_depth):
-            least = float(_least_depth(self.cornea, *ring))
-            if not float(self.iris_depth) > least:
+            least_depth = float(_least_depth(self.cornea, *ring))
+            if not float(self.iris_depth) > least_depth:
                 raise ValueError(
                     f"iris_depth = {float(self.iris_depth):g} mm puts the iris into the cornea or "
                     "in front of the limbus; for this eye it must be at least "
-                    f"{np.ceil(least * 1000 + 0.5) / 1000:g} mm"
+                    f"{np.ceil(least_depth * 1000 + 0.5) / 1000:g} mm"
                 )
 
     @property
@@ -232,20 +232,20 @@ class Eye(eqx.Module):
         r = safe_sqrt(x * x + y * y)
         r = jnp.where(r > 0, r, 1.0)
         u, v = cosine, sine = x / r, y / r
-        off = jnp.zeros_like(r)
+        deviation = jnp.zeros_like(r)
         for a, b in self.pupil_harmonics:
             cosine, sine = u * cosine - v * sine, v * cosine + u * sine
-            off = off + a * cosine + b * sine
-        return self.pupil_radius * (1 + off)
+            deviation = deviation + a * cosine + b * sine
+        return self.pupil_radius * (1 + deviation)
 
     def _check_centre(self, centre: np.ndarray) -> None:
         if centre.shape != (2,):
             raise ValueError(f"pupil_centre has shape {centre.shape}; need x and y")
-        room = float(self.iris_radius - self.pupil_radius)
-        if not np.hypot(*centre) < room:
+        limit = float(self.iris_radius - self.pupil_radius)
+        if not np.hypot(*centre) < limit:
             raise ValueError(
                 f"pupil_centre = {np.hypot(*centre):.2f} mm from the axis puts the pupil beyond "
-                f"the root of the iris; it must be below {room:.2f} mm"
+                f"the root of the iris; it must be below {limit:.2f} mm"
             )
 
     def meet_iris(self, origin: Vector, direction: Vector) -> Array:
@@ -257,9 +257,9 @@ class Eye(eqx.Module):
         for _ in range(6):  # Newton from the plane: slopes up to 1/2 converge to rounding
             x, y = x0 + t * dx, y0 + t * dy
             r = safe_sqrt(x * x + y * y)
-            rise = self.iris_slope * (x * dx + y * dy) / jnp.where(r > 0, r, 1.0)
-            miss = z0 + t * dz - self.iris_depth - self.iris_slope * r
-            t = t - miss / (dz - rise)
+            slope = self.iris_slope * (x * dx + y * dy) / jnp.where(r > 0, r, 1.0)
+            height = z0 + t * dz - self.iris_depth - self.iris_slope * r
+            t = t - height / (dz - slope)
         return t
 
     def iris_normal(self, point: Vector) -> Vector:
@@ -285,8 +285,8 @@ def rings_between(
     u, v = jnp.asarray(point[0]) - cx, jnp.asarray(point[1]) - cy
     a = width**2 - cx**2 - cy**2
     b = inner * width - (u * cx + v * cy)
-    within = inner**2 - u * u - v * v
-    s = (safe_sqrt(jnp.maximum(b * b - a * within, 0.0)) - b) / a
+    c = inner**2 - u * u - v * v
+    s = (safe_sqrt(jnp.maximum(b * b - a * c, 0.0)) - b) / a
     return s, u + s * cx, v + s * cy
 
 
@@ -296,8 +296,8 @@ def _least_depth(cornea: Cornea, iris_radius, limbus_radius, slope) -> Scalar:
 
     The root of the iris meets it first, or its middle if the iris rises towards the root.
     """
-    back = cornea.anterior if cornea.posterior is None else cornea.posterior
+    posterior = cornea.anterior if cornea.posterior is None else cornea.posterior
     r = jnp.minimum(iris_radius, limbus_radius)  # beyond the limbus there is no cornea
-    root = back.apex + back.sagitta(r) - slope * r
+    root = posterior.apex + posterior.sagitta(r) - slope * r
     limbus = cornea.anterior.apex + cornea.anterior.sagitta(limbus_radius)
-    return jnp.maximum(jnp.maximum(root, limbus), back.apex)
+    return jnp.maximum(jnp.maximum(root, limbus), posterior.apex)

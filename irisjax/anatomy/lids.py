@@ -81,13 +81,13 @@ class Lids(eqx.Module):
         if self.nose not in (-1, 1):
             raise ValueError(f"lids: nose = {self.nose} must be -1 or 1")
 
-    def margins(self, along: _Reals) -> tuple[_Reals, _Reals]:
+    def margins(self, s: _Reals) -> tuple[_Reals, _Reals]:
         """Heights y of both margins, mm, at places between the corners (−1 to 1)."""
         (_, high), (_, low) = TEMPORAL, NASAL
-        line = (high + low) / 2 + (low - high) / 2 * along
-        arch = (1 - along * along) * (1 - 0.4 * jnp.maximum(along, 0.0) ** 4)
-        upper = line + (self.upper - line_at_axis()) * arch * (1 + 0.12 * along * arch)
-        lower = line - (self.lower + line_at_axis()) * arch * (1 - 0.1 * along * arch)
+        line = (high + low) / 2 + (low - high) / 2 * s
+        arch = (1 - s * s) * (1 - 0.4 * jnp.maximum(s, 0.0) ** 4)
+        upper = line + (self.upper - line_at_axis()) * arch * (1 + 0.12 * s * arch)
+        lower = line - (self.lower + line_at_axis()) * arch * (1 - 0.1 * s * arch)
         return upper, lower
 
     def along(self, x: _Reals) -> _Reals:
@@ -97,16 +97,16 @@ class Lids(eqx.Module):
 
     def edge(self, x: _Reals, y: _Reals) -> Edge:
         """Compute how far points (mm) lie beyond the margins."""
-        along = self.along(x)
-        inside = jnp.clip(along, -1.15, 1.15)
-        upper, lower = self.margins(inside)
+        s = self.along(x)
+        clamped = jnp.clip(s, -1.15, 1.15)
+        upper, lower = self.margins(clamped)
         # Slopes of the parabolas, to turn heights into distances.
-        steep = (self.upper + self.lower) / (NASAL[0] - TEMPORAL[0]) * 2 * inside
-        shrink = 1 / safe_sqrt(1 + steep * steep)
+        slope = (self.upper + self.lower) / (NASAL[0] - TEMPORAL[0]) * 2 * clamped
+        shrink = 1 / safe_sqrt(1 + slope * slope)
         u, v = (y - upper) * shrink, (lower - y) * shrink
-        beyond = jnp.abs(along) - inside * jnp.sign(along)
-        both = (u + v + safe_sqrt((u - v) ** 2 + 0.3)) / 2 + beyond * (NASAL[0] - TEMPORAL[0]) / 2
-        return Edge(both, u, v, along)
+        overhang = jnp.abs(s) - clamped * jnp.sign(s)
+        both = (u + v + safe_sqrt((u - v) ** 2 + 0.3)) / 2 + overhang * (NASAL[0] - TEMPORAL[0]) / 2
+        return Edge(both, u, v, s)
 
     def skin_depth(self, x: _Reals, y: _Reals, centre: Scalar) -> _Reals:
         """z of the skin without its opening, mm; `centre` is that of the globe."""
@@ -114,8 +114,8 @@ class Lids(eqx.Module):
         # A sphere that does not end at its equator.
         square = DOME * DOME - x * x - y * y
         dome = centre - safe_sqrt((square + safe_sqrt(square * square + 900.0)) / 2)
-        high, low, towards = (_ramp(v - 8.0) for v in (y, -y, u))
-        face = centre - 5.3 - 0.04 * u - 0.42 * high - 0.3 * low - 0.25 * towards
+        high, low, nasal = (_ramp(v - 8.0) for v in (y, -y, u))
+        face = centre - 5.3 - 0.04 * u - 0.42 * high - 0.3 * low - 0.25 * nasal
         return (dome + face - safe_sqrt((dome - face) ** 2 + 8.0)) / 2
 
     def depth(self, x: _Reals, y: _Reals, centre: Scalar) -> _Reals:
@@ -123,12 +123,12 @@ class Lids(eqx.Module):
         at = self.edge(x, y)
         arch = jnp.maximum(1 - at.along * at.along, 0.0)
         # The fold lies over the upper lid; a shallow groove borders the lower one.
-        over = at.upper - (1.1 + 3.0 * arch)
-        shown = smoothstep((1.25 - jnp.abs(at.along)) / 0.5)
-        fold = 0.9 * smoothstep(over / 1.6 + 0.1) - 0.45 * jnp.exp(-((over / 0.45) ** 2))
+        height = at.upper - (1.1 + 3.0 * arch)
+        weight = smoothstep((1.25 - jnp.abs(at.along)) / 0.5)
+        fold = 0.9 * smoothstep(height / 1.6 + 0.1) - 0.45 * jnp.exp(-((height / 0.45) ** 2))
         bag = at.lower - (2.0 + 3.5 * arch)
         groove = 0.25 * jnp.exp(-((at.lower - 2.2) ** 2) / 3) - 0.12 * jnp.exp(-((bag / 0.8) ** 2))
-        skin = self.skin_depth(x, y, centre) - shown * (fold + groove)
+        skin = self.skin_depth(x, y, centre) - weight * (fold + groove)
         inward = jnp.clip(1 - at.outside / EDGE_WIDTH, 0.0, 1.0)
         # Thick along the radius of the globe, more along z towards the corners.
         cosine = safe_sqrt(jnp.maximum(1 - (x * x + y * y) / DOME**2, 0.16))
@@ -145,14 +145,14 @@ class Lids(eqx.Module):
 
     def normal(self, x: _Reals, y: _Reals, centre: Scalar) -> tuple[_Reals, _Reals, _Reals]:
         """Components of the unit normal, out of the face."""
-        one, none = jnp.ones_like(x), jnp.zeros_like(x)
+        ones, zeros = jnp.ones_like(x), jnp.zeros_like(x)
 
         def depth(x, y):
             return self.depth(x, y, centre)
 
-        along, up = (jax.jvp(depth, (x, y), way)[1] for way in ((one, none), (none, one)))
-        length = safe_sqrt(1 + along * along + up * up)
-        return along / length, up / length, -1 / length
+        dz_dx, dz_dy = (jax.jvp(depth, (x, y), way)[1] for way in ((ones, zeros), (zeros, ones)))
+        length = safe_sqrt(1 + dz_dx * dz_dx + dz_dy * dz_dy)
+        return dz_dx / length, dz_dy / length, -1 / length
 
 
 def _ramp(x: _Reals) -> _Reals:

@@ -21,7 +21,7 @@ from irisjax.anatomy.sclera import sphere, vein_place
 from irisjax.io.images import encode_png, to_steps
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.interpolation import polar_bilinear, smoothstep
-from irisjax.optics.conicoid import joined
+from irisjax.optics.conicoid import from_parts
 from irisjax.render.project import IrisPixels
 from irisjax.render.scene import Scene
 from irisjax.render.shading import relief_of, shares, textures_at, tilted
@@ -217,7 +217,7 @@ def _white_seen(
     globe = sphere(eye)
     x, y = _square(side, globe.radius)
     r = jnp.minimum(jnp.hypot(x, y), globe.radius)
-    place = vein_place(eye, joined([x, y, globe.apex + globe.sagitta(r)]))
+    place = vein_place(eye, from_parts([x, y, globe.apex + globe.sagitta(r)]))
     found = polar_bilinear(jnp.moveaxis(white, -1, 0), *place)
     share = smoothstep((r - eye.limbus_radius) / eye.limbus_width + 0.5)
     return _rows(root[:, None] + share * (found - root[:, None]), side)

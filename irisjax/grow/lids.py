@@ -11,7 +11,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.lids import EDGE_WIDTH, FACE, FENCE, Lids
 from irisjax.anatomy.sclera import sclera_centre
 from irisjax.numerics.streams import words_of
-from irisjax.numerics.strokes import sections, stamped
+from irisjax.numerics.strokes import stamp_strokes, stroke_sections
 
 _POINTS = 14  # along a lash
 
@@ -93,7 +93,7 @@ def _fence(lashes: np.ndarray, centre: float) -> np.ndarray:
     pixels = np.concatenate(
         [(place[..., :2] + FACE) / cell - 0.5, (wider * lashes[..., 3] / cell)[..., None]], -1
     )
-    return np.asarray(stamped(jnp.asarray(pixels), (side, side), *sections(40, 4)))
+    return np.asarray(stamp_strokes(jnp.asarray(pixels), (side, side), *stroke_sections(40, 4)))
 
 
 def _skin(rng, texels: int) -> np.ndarray:

@@ -33,7 +33,7 @@ from irisjax.infer.pixels import Each, fit_pixels, prior_starts
 from irisjax.infer.posterior import sample
 from irisjax.infer.problem import Problem, predicted
 from irisjax.numerics import linear
-from irisjax.numerics.chunks import by_rows
+from irisjax.numerics.chunks import map_rows
 from irisjax.numerics.streams import words_of
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def train_flow(
         (values,), *_ = predicted(mine, z, jax.random.fold_in(key, i))
         fits = fit_pixels(mine, values, starts, each)
         rows = values, None, fits.z, fits.z_covariance
-        frames = by_rows(functools.partial(_framed, mine), rows, _ROWS, each)
+        frames = map_rows(functools.partial(_framed, mine), rows, _ROWS, each)
         made.append((frames, z))
     frames, z = jax.tree.map(lambda *x: np.concatenate(x), *made)
     u = np.linalg.solve(frames.root, (z - frames.centre)[..., None])[..., 0]
@@ -178,7 +178,7 @@ def weighted_draws(
     base = jnp.asarray(stats.t(_DEGREES).ppf(points), jnp.result_type(float))
     nameless = problem.unnamed()
     run = functools.partial(_weighted, flow, nameless, base)
-    return Weighted(*by_rows(run, (values, sd, z, covariance), _ROWS, each))
+    return Weighted(*map_rows(run, (values, sd, z, covariance), _ROWS, each))
 
 
 def with_chains(

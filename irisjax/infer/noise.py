@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 
 from irisjax._types import Scalar, optional_field
 from irisjax.infer.observation import Observation
-from irisjax.numerics.linear import cholesky, whitened
+from irisjax.numerics.linear import cholesky, whiten
 
 _Values: TypeAlias = Float[Array, " data"]
 
@@ -97,5 +97,5 @@ class Noise(eqx.Module):
 def _whitened(spread: Array, residual: _Values) -> tuple[_Values, _Values]:
     """Residuals of unit variance, and logarithms of what they were divided by."""
     if spread.ndim == 2:
-        return whitened(spread, residual)
+        return whiten(spread, residual)
     return residual / spread, jnp.log(spread)

@@ -29,7 +29,7 @@ from irisjax.infer.observation import with_values
 from irisjax.infer.parameters import kind
 from irisjax.infer.problem import Problem
 from irisjax.numerics import linear
-from irisjax.numerics.chunks import by_rows
+from irisjax.numerics.chunks import map_rows
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 
@@ -108,7 +108,7 @@ def prior_starts(problem: Problem, each: Each = map) -> Starts:
 
 def starts_at(problem: Problem, z: Float[np.ndarray, "starts free"], each: Each = map) -> Starts:
     """Return the starts at some vectors z, such as those of fits."""
-    return Starts(z, *by_rows(partial(_linearised, problem.unnamed()), z, _ROWS, each))
+    return Starts(z, *map_rows(partial(_linearised, problem.unnamed()), z, _ROWS, each))
 
 
 def fit_pixels(
@@ -125,14 +125,14 @@ def fit_pixels(
     problem, dtype = problem.unnamed(), jnp.result_type(float)
     values = np.asarray(values, dtype)
     table = jax.tree.map(lambda x: jnp.asarray(x, dtype), starts)
-    z = by_rows(lambda some: _started(problem, table, some), values, _ROWS, each)
+    z = map_rows(lambda some: _started(problem, table, some), values, _ROWS, each)
     run = partial(_fitted, problem)
-    found = by_rows(run, (values, z), _ROWS, each)
+    found = map_rows(run, (values, z), _ROWS, each)
     for _ in range(_ROUNDS):
         again = np.flatnonzero(found["again"])
         if not again.size:
             break
-        more = by_rows(run, (values[again], found["z"][again]), _ROWS, each)
+        more = map_rows(run, (values[again], found["z"][again]), _ROWS, each)
         for name, array in more.items():
             found[name][again] = array
     moving = problem.moving
@@ -161,7 +161,7 @@ def predict_pixels(
     for i, j in np.argwhere(~np.isfinite(z))[:1]:
         name = problem.free[j]
         raise ValueError(f"{name} = {values[name][i]:g} is outside of its prior {pairs[name]!r}")
-    return by_rows(partial(_predicted, problem.unnamed()), z, _ROWS, each)
+    return map_rows(partial(_predicted, problem.unnamed()), z, _ROWS, each)
 
 
 def iris_of_pixels(

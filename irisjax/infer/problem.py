@@ -20,7 +20,7 @@ from irisjax.infer.priors import AbstractPrior, check_prior
 from irisjax.measure.instrument import AbstractInstrument
 from irisjax.measure.observe import observed, prepared
 from irisjax.numerics.checks import check_known, check_range
-from irisjax.numerics.chunks import by_rows, in_pieces
+from irisjax.numerics.chunks import map_rows, vmap_in_pieces
 from irisjax.numerics.streams import words_of
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.scattering import PowerLaw
@@ -82,7 +82,7 @@ class Problem(eqx.Module):
     def log_density(self) -> Callable[[np.ndarray], np.ndarray]:
         """Jitted function of vectors z (n, free), which returns log posterior densities (n,)."""
         problem = self.unnamed()
-        return lambda z: by_rows(partial(_densities, problem), np.asarray(z), _ROWS)[0]
+        return lambda z: map_rows(partial(_densities, problem), np.asarray(z), _ROWS)[0]
 
     @property
     def undetermined(self) -> int:
@@ -337,7 +337,7 @@ def pointwise(
     problem: Problem, z: Float[Array | np.ndarray, "n free"]
 ) -> Float[np.ndarray, "n all_data"]:
     """Return the log likelihoods of every value."""
-    return by_rows(partial(_densities, problem.unnamed()), np.asarray(z), _ROWS)[1]
+    return map_rows(partial(_densities, problem.unnamed()), np.asarray(z), _ROWS)[1]
 
 
 def reported(
@@ -345,7 +345,7 @@ def reported(
 ) -> dict[str, Float[np.ndarray, "*samples"]]:
     """Return free and derived parameters of samples by name, in the order of `problem.free`."""
     flat = np.asarray(z).reshape(-1, z.shape[-1])
-    values = by_rows(partial(_reported, problem.unnamed()), flat, 4096)
+    values = map_rows(partial(_reported, problem.unnamed()), flat, 4096)
     names = [*problem.free, *(n for n in values if n not in problem.free)]
     return {n: np.asarray(values[n]).reshape(z.shape[:-1]) for n in names}
 
@@ -363,7 +363,7 @@ def predicted(problem: Problem, z: Float[np.ndarray, "n free"], key: PRNGKey) ->
         (random.standard_normal(n), None if nu is None else random.chisquare(nu, n)) for n in shapes
     ]
     nameless, rows = problem.unnamed(), min(len(z), _PREDICTED)
-    return by_rows(lambda some: _predicted(nameless, *some), (z, draws), rows)
+    return map_rows(lambda some: _predicted(nameless, *some), (z, draws), rows)
 
 
 @eqx.filter_jit
@@ -371,7 +371,7 @@ def _predicted(problem: Problem, z: Float[Array, "n free"], draws: Any) -> Any:
     def one(each):
         return *problem.simulated(*each), problem.log_priors(each[0])
 
-    return in_pieces(one, (z, draws), elements(problem))
+    return vmap_in_pieces(one, (z, draws), elements(problem))
 
 
 @eqx.filter_jit
@@ -387,7 +387,7 @@ def _densities(problem: Problem, z: Float[Array, "n free"]) -> Any:
         each = problem.pointwise(x)
         return problem.with_prior(each.sum(), x), each
 
-    return in_pieces(one, z, elements(problem))
+    return vmap_in_pieces(one, z, elements(problem))
 
 
 def _with_law(base: Iris, process: AbstractProcess, names: Iterable[str]) -> Iris:

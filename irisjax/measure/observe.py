@@ -8,7 +8,7 @@ import jax
 from irisjax._types import PRNGKey
 from irisjax.measure.instrument import AbstractInstrument
 from irisjax.numerics.precision import full_precision
-from irisjax.numerics.sharding import laid_out
+from irisjax.numerics.sharding import call_with_layout
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
 from irisjax.transport.ilit.exact import IlitExact
@@ -62,7 +62,7 @@ def observed(
     iris: Iris, instrument: AbstractInstrument, solver: AbstractSolver, key: PRNGKey | None = None
 ) -> Any:
     """Read an iris in a traced function: without checks, preparation and exceptions."""
-    return laid_out(_traced, instrument.wavelengths, iris, instrument, solver, key)
+    return call_with_layout(_traced, instrument.wavelengths, iris, instrument, solver, key)
 
 
 @full_precision
@@ -88,7 +88,7 @@ def prepared(iris: Iris, instrument: AbstractInstrument, solver: AbstractSolver)
 @jax.jit
 def _layers(iris: Iris, instrument: AbstractInstrument) -> Layers:
     pigments, aqueous = instrument.pigments, instrument.media.aqueous
-    return laid_out(Iris.layers, instrument.wavelengths, iris, pigments, aqueous)
+    return call_with_layout(Iris.layers, instrument.wavelengths, iris, pigments, aqueous)
 
 
 _observe = jax.jit(observed)

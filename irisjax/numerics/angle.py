@@ -23,15 +23,15 @@ def arctan2(y: Float[Array, "*s"], x: Float[Array, "*s"]) -> Float[Array, "*s"]:
     y, x = jnp.broadcast_arrays(y, x)
     if jnp.result_type(y, x) != jnp.float32:
         return jnp.arctan2(y, x)
-    across, along = jnp.abs(y), jnp.abs(x)
-    larger = jnp.maximum(across, along)
-    t = jnp.minimum(across, along) / jnp.where(larger > 0, larger, 1.0)
+    abs_y, abs_x = jnp.abs(y), jnp.abs(x)
+    larger = jnp.maximum(abs_y, abs_x)
+    t = jnp.minimum(abs_y, abs_x) / jnp.where(larger > 0, larger, 1.0)
     s = t * t
     series = jnp.zeros_like(s)
     for coefficient in reversed(_SERIES):
         series = (series + coefficient) * s
     angle = t + t * series
-    angle = jnp.where(across > along, np.pi / 2 - angle, angle)
+    angle = jnp.where(abs_y > abs_x, np.pi / 2 - angle, angle)
     angle = jnp.where(x < 0, np.pi - angle, angle)
     return jnp.where(y < 0, -angle, angle)
 

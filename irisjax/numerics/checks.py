@@ -19,8 +19,8 @@ class Range(NamedTuple):
     above: bool = False  # `low` itself is not allowed
 
     def __str__(self) -> str:
-        low = f"{'(' if self.above else '['}{_shown(self.low)}"
-        high = "inf)" if np.isinf(self.high) else f"{_shown(self.high)}]"
+        low = f"{'(' if self.above else '['}{_format_number(self.low)}"
+        high = "inf)" if np.isinf(self.high) else f"{_format_number(self.high)}]"
         return f"{low}, {high}{' ' + self.unit if self.unit else ''}"
 
     def holds(self, value: Any) -> Any:
@@ -42,17 +42,18 @@ def check_range(name: str, value: object, allowed: Range) -> None:
     if value is None or isinstance(value, Tracer):
         return
     v = np.asarray(value)
-    good = allowed.holds(v)
-    if not good.all():
+    in_range = allowed.holds(v)
+    if not in_range.all():
         unit = f" {allowed.unit}" if allowed.unit else ""
-        raise ValueError(f"{name} = {_shown(v[~good].flat[0])}{unit} is outside {allowed}")
+        number = _format_number(v[~in_range].flat[0])
+        raise ValueError(f"{name} = {number}{unit} is outside {allowed}")
 
 
 def check_number(name: str, value: Any, allowed: Range) -> None:
     """`check_range` of one number; raise `ValueError` for an array of several."""
     if shape := np.shape(value):
-        said = "it must be one number: use jax.vmap for several"
-        raise ValueError(f"{name} has shape {shape}; {said}")
+        message = "it must be one number: use jax.vmap for several"
+        raise ValueError(f"{name} has shape {shape}; {message}")
     check_range(name, value, allowed)
 
 
@@ -63,12 +64,12 @@ def check_whole(name: str, value: object, low: int, high: float = np.inf) -> Non
     check_range(name, value, Range(low, high))
 
 
-def check_known(what: str, name: str, known: Collection[str]) -> None:
+def check_known(category: str, name: str, known: Collection[str]) -> None:
     """Raise `ValueError` with the known names, and the nearest of them, unless `name` is one."""
     if name not in known:
-        near = difflib.get_close_matches(name, known, 1)
-        hint = f"; did you mean {near[0]!r}?" if near else ";"
-        raise ValueError(f"unknown {what} {name!r}{hint} known: {', '.join(known) or 'none'}")
+        matches = difflib.get_close_matches(name, known, 1)
+        hint = f"; did you mean {matches[0]!r}?" if matches else ";"
+        raise ValueError(f"unknown {category} {name!r}{hint} known: {', '.join(known) or 'none'}")
 
 
 def check_fields(module: object, ranges: dict[str, Range]) -> None:
@@ -90,6 +91,6 @@ def check_scalars(module: object, names: Iterable[str]) -> None:
             )
 
 
-def _shown(number) -> str:
+def _format_number(number) -> str:
     """Whole numbers in full: limits are exact."""
     return str(number) if isinstance(number, int | np.integer) else f"{number:g}"

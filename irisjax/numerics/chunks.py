@@ -41,7 +41,7 @@ _SETTINGS = (
 )
 
 
-def in_chunks(f: Callable[[P], T], pixels: P) -> T:
+def map_chunks(f: Callable[[P], T], pixels: P) -> T:
     """Apply `f` to a tree of arrays, one chunk of their last axis after the other.
 
     The last axis of the results is that of the pixels too. An accelerator gets all pixels at once:
@@ -50,7 +50,9 @@ def in_chunks(f: Callable[[P], T], pixels: P) -> T:
     if _count(pixels) <= _SIZE:
         return f(pixels)
     return jax.lax.platform_dependent(
-        pixels, cpu=lambda some: _share_of(f, some, 0, 1), default=lambda some: f(some)
+        pixels,
+        cpu=lambda p: _map_share(f, p, 0, 1),
+        default=lambda p: f(p),
     )
 
 
@@ -69,12 +71,12 @@ class Pixelwise(Generic[P, *Rest, T]):
 
         @full_precision
         def chunked(pixels: P, others: tuple[*Rest], share: Any, shares: int) -> T:
-            def one(some: P) -> T:
-                return f(some, *others)
+            def apply(chunk: P) -> T:
+                return f(chunk, *others)
 
             if shares == 1:
-                return in_chunks(one, pixels)
-            return _share_of(one, pixels, share, shares)
+                return map_chunks(apply, pixels)
+            return _map_share(apply, pixels, share, shares)
 
         chunked.__module__, chunked.__qualname__ = f.__module__, f.__qualname__
         chunked.__name__ = f.__name__
@@ -87,11 +89,11 @@ class Pixelwise(Generic[P, *Rest, T]):
                 # A thread lacks the settings, float64 say, that a `with` made for its caller.
                 if pool.submit(_settings).result() == _settings():
 
-                    def part(i: int) -> T:
-                        done = self.compiled(pixels, others, jnp.asarray(i), shares)
-                        return jax.block_until_ready(done)
+                    def run_share(i: int) -> T:
+                        result = self.compiled(pixels, others, jnp.asarray(i), shares)
+                        return jax.block_until_ready(result)
 
-                    return _joined(list(pool.map(part, range(shares))), _count(pixels))
+                    return _concatenate(list(pool.map(run_share, range(shares))), _count(pixels))
         return self.compiled(pixels, others, None, 1)
 
 
@@ -99,37 +101,37 @@ pixelwise = Pixelwise
 """`Pixelwise` as a decorator."""
 
 
-def in_pieces(function: Callable[[P], T], arguments: P, elements: int) -> T:
+def vmap_in_pieces(function: Callable[[P], T], arguments: P, elements: int) -> T:
     """Apply `jax.vmap(function)`, to as many arguments at a time as make arrays of `_ELEMENTS`
     numbers, where each takes `elements`.
     """
     count = jax.tree.leaves(arguments)[0].shape[0]
     pieces = -(-count // max(1, _ELEMENTS // elements))
-    each = jax.vmap(lambda x: function(x))  # JAX cannot hash bound methods of modules
+    batched = jax.vmap(lambda x: function(x))  # JAX cannot hash bound methods of modules
     if pieces == 1:
-        return each(arguments)
+        return batched(arguments)
     # All of one size, so that one program serves them; the last argument fills the last piece.
-    places = np.arange(pieces * -(-count // pieces)).reshape(pieces, -1)
-    chosen = jax.tree.map(lambda x: x[np.minimum(places, count - 1)], arguments)
-    done = jax.lax.map(each, chosen)
-    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:count], done)
+    indices = np.arange(pieces * -(-count // pieces)).reshape(pieces, -1)
+    padded = jax.tree.map(lambda x: x[np.minimum(indices, count - 1)], arguments)
+    results = jax.lax.map(batched, padded)
+    return jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:])[:count], results)
 
 
-def by_rows(
-    function: Callable[[Any], Any], arguments: Any, rows: int, each: Callable[..., Any] = map
+def map_rows(
+    function: Callable[[Any], Any], arguments: Any, rows: int, map_fn: Callable[..., Any] = map
 ) -> Any:
     """Apply a compiled function of `rows` rows of each array to any number of them; a program for
-    each number would take longer to compile than all to run. `each` is a `map`, of threads perhaps.
+    each number would take longer to compile than all to run. `map_fn` is a `map`, such as a pool's.
     """
     count = jax.tree.leaves(arguments)[0].shape[0]
 
-    def part(first: int) -> Any:
+    def run_rows(first: int) -> Any:
         # Copies of the last row: whatever is finite there has finite copies.
-        places = np.minimum(np.arange(first, first + rows), count - 1)
-        return jax.tree.map(np.asarray, function(jax.tree.map(lambda x: x[places], arguments)))
+        indices = np.minimum(np.arange(first, first + rows), count - 1)
+        return jax.tree.map(np.asarray, function(jax.tree.map(lambda x: x[indices], arguments)))
 
-    done = each(part, range(0, count, rows))
-    return jax.tree.map(lambda *x: np.concatenate(x)[:count], *done)
+    results = map_fn(run_rows, range(0, count, rows))
+    return jax.tree.map(lambda *x: np.concatenate(x)[:count], *results)
 
 
 def cores() -> int:
@@ -146,7 +148,7 @@ def _threads(pixels: object, others: object) -> int:
     return 1 << (min(cores(), 8).bit_length() - 1)
 
 
-def _share_of(f: Callable[[P], T], pixels: P, share: Array | int, shares: int) -> T:
+def _map_share(f: Callable[[P], T], pixels: P, share: Array | int, shares: int) -> T:
     """Apply `f` to the chunks that belong to number `share` of several."""
     count = _count(pixels)
     size = min(_SIZE, count)
@@ -159,18 +161,18 @@ def _share_of(f: Callable[[P], T], pixels: P, share: Array | int, shares: int) -
 
     chunks = jax.tree.map(cut, pixels)
 
-    def part(k: Array) -> T:
+    def run_chunk(k: Array) -> T:
         return f(jax.tree.map(lambda x: x[..., k, :], chunks))
 
-    each = (count + pad) // size // shares
-    done = jax.lax.map(part, share * each + jnp.arange(each))
+    chunks_per_share = (count + pad) // size // shares
+    results = jax.lax.map(run_chunk, share * chunks_per_share + jnp.arange(chunks_per_share))
 
-    def joined(x: Array) -> Array:
+    def join_chunks(x: Array) -> Array:
         x = jnp.moveaxis(x, 0, -2)
         x = x.reshape(*x.shape[:-2], -1)
         return x[..., :count] if shares == 1 else x
 
-    return jax.tree.map(joined, done)
+    return jax.tree.map(join_chunks, results)
 
 
 def _count(pixels: object) -> int:
@@ -178,8 +180,8 @@ def _count(pixels: object) -> int:
 
 
 @eqx.filter_jit
-def _joined(done: list[T], count: int) -> T:
-    return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1)[..., :count], *done)
+def _concatenate(shares: list[T], count: int) -> T:
+    return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1)[..., :count], *shares)
 
 
 def _settings() -> list[object]:

@@ -14,10 +14,10 @@ _Reals = Float[Array, "..."]
 
 def horner(t: _Reals, coefficients: Sequence[Any]) -> _Reals:
     """Polynomial in `t` with these coefficients, numbers or arrays, the lowest power first."""
-    out = coefficients[-1]
+    value = coefficients[-1]
     for c in coefficients[-2::-1]:
-        out = out * t + c
-    return out
+        value = value * t + c
+    return value
 
 
 def chebyshev(t: _Reals, count: int) -> tuple[list[_Reals], list[_Reals]]:
@@ -39,9 +39,9 @@ def chebyshev_series(
     """
     count = weights.shape[0]
     width = max(math.isqrt(count - 1) + 1, 2)
-    few, _ = chebyshev(t, width + 1)
-    steps, _ = chebyshev(few[width], width)  # T_a(T_w) = T_{wa}
-    rows = jnp.stack(steps)[:, None] * jnp.stack(few[:width])[None]
+    low_orders, _ = chebyshev(t, width + 1)
+    steps, _ = chebyshev(low_orders[width], width)  # T_a(T_w) = T_{wa}
+    rows = jnp.stack(steps)[:, None] * jnp.stack(low_orders[:width])[None]
     products = jnp.asarray(_in_products(count, width), t.dtype)
     return (products @ weights).T @ rows.reshape(width * width, -1)
 
@@ -49,16 +49,16 @@ def chebyshev_series(
 @functools.lru_cache(maxsize=32)
 def _in_products(count: int, width: int) -> np.ndarray:
     """The matrix from weights of T_k to those of T_{wa} T_b, shape (w², count)."""
-    out = np.zeros((width, width, count))
+    matrix = np.zeros((width, width, count))
     for k in range(count):
-        weight, rest = 1.0, k
+        weight, order = 1.0, k
         # T_{wa + b} = 2 T_{wa} T_b − T_{wa − b}
-        while rest >= width and rest % width:
-            a, b = divmod(rest, width)
-            out[a, b, k] += 2 * weight
-            weight, rest = -weight, width * a - b
-        out[(*divmod(rest, width), k)] += weight
-    return out.reshape(width * width, count)
+        while order >= width and order % width:
+            a, b = divmod(order, width)
+            matrix[a, b, k] += 2 * weight
+            weight, order = -weight, width * a - b
+        matrix[(*divmod(order, width), k)] += weight
+    return matrix.reshape(width * width, count)
 
 
 def chebyshev_nodes(n: int) -> np.ndarray:
@@ -80,13 +80,13 @@ def piecewise_linear(x: _Reals, grid: np.ndarray, values: np.ndarray, *, outside
     """
     steps = np.diff(grid)
     rows = grid, values, 1 / np.append(steps[:1], steps), -1 / np.append(steps, steps[-1:])
-    at, heights, rising, falling = (
+    nodes, heights, rising, falling = (
         jnp.asarray(row, x.dtype).reshape((1,) * x.ndim + (-1,)) for row in rows
     )
-    away = x[..., None] - at
-    hats = jnp.maximum(1 + jnp.where(away < 0, rising, falling) * away, 0.0)
-    inside = (x >= at.min()) & (x <= at.max())
-    return jnp.where(inside, (hats * heights).sum(-1), outside)
+    offset = x[..., None] - nodes
+    hats = jnp.maximum(1 + jnp.where(offset < 0, rising, falling) * offset, 0.0)
+    in_table = (x >= nodes.min()) & (x <= nodes.max())
+    return jnp.where(in_table, (hats * heights).sum(-1), outside)
 
 
 def bilinear(
@@ -105,12 +105,12 @@ def bilinear(
     else:
         cell = _cell(row, rows)
     cells = cell, _cell(column, columns)
-    found = [
-        _between(layer, (rows, columns), cells) for layer in texture.reshape(-1, rows * columns)
+    values = [
+        _interpolate(layer, (rows, columns), cells) for layer in texture.reshape(-1, rows * columns)
     ]
     if texture.ndim == 2:
-        return found[0]
-    return jnp.stack(found).reshape(*texture.shape[:-2], *row.shape)
+        return values[0]
+    return jnp.stack(values).reshape(*texture.shape[:-2], *row.shape)
 
 
 def polar_bilinear(
@@ -135,16 +135,16 @@ def multilinear(
     *counts, channels = table.shape
     cells = [_cell(x, count) for x, count in zip(position, counts, strict=True)]
     cells = [(below, above, weight[..., None]) for below, above, weight in cells]
-    return _between(table.reshape(-1, channels), counts, cells)
+    return _interpolate(table.reshape(-1, channels), counts, cells)
 
 
-def _between(flat, counts, cells, place=0):
+def _interpolate(flat, counts, cells, index=0):
     """Read a table of `counts` along its axes, flattened, between both ends of each cell."""
     if not cells:
-        return flat.at[place].get(mode="promise_in_bounds")
+        return flat.at[index].get(mode="promise_in_bounds")
     (below, above, weight), *cells = cells
     low, high = (
-        _between(flat, counts[1:], cells, place * counts[0] + end) for end in (below, above)
+        _interpolate(flat, counts[1:], cells, index * counts[0] + end) for end in (below, above)
     )
     return low * (1 - weight) + high * weight
 

@@ -43,7 +43,7 @@ def cholesky(a: Float[Array, "n n"]) -> Float[Array, "n n"]:
     return jax.lax.platform_dependent(a, cpu=_cholesky, default=jnp.linalg.cholesky)
 
 
-def whitened(
+def whiten(
     root: Float[Array, "n n"], residual: Float[Array, " n"]
 ) -> tuple[Float[Array, " n"], Float[Array, " n"]]:
     """Root⁻¹ residual, and the logarithms of the diagonal."""
@@ -81,9 +81,9 @@ def _solve_blocks(
     left = _solve_blocks(
         a[:, :half, :half], jnp.concatenate([a[:, :half, half:], b[:, :half]], axis=-1)
     )
-    rest = jnp.concatenate([a[:, half:, half:], b[:, half:]], axis=-1) - a[:, half:, :half] @ left
-    below = _solve_blocks(rest[..., : n - half], rest[..., n - half :])
-    return jnp.concatenate([left[..., n - half :] - left[..., : n - half] @ below, below], axis=1)
+    schur = jnp.concatenate([a[:, half:, half:], b[:, half:]], axis=-1) - a[:, half:, :half] @ left
+    lower = _solve_blocks(schur[..., : n - half], schur[..., n - half :])
+    return jnp.concatenate([left[..., n - half :] - left[..., : n - half] @ lower, lower], axis=1)
 
 
 def _gauss_jordan(m: Float[Array, "n width many"]) -> Float[Array, "n rest many"]:
@@ -102,21 +102,21 @@ _library_forward = partial(solve_triangular, lower=True)
 
 def _cholesky(a):
     n = a.shape[0]
-    padded = _padded(a)
-    places = jnp.arange(padded.shape[0])[:, None]
+    padded = _pad(a)
+    row_numbers = jnp.arange(padded.shape[0])[:, None]
 
     def step(k, root):
         rows = jax.lax.dynamic_slice_in_dim(root, k * _BLOCK, _BLOCK)
         columns = jax.lax.dynamic_slice_in_dim(padded, k * _BLOCK, _BLOCK, 1) - root @ rows.T
         corner = _small_cholesky(jax.lax.dynamic_slice_in_dim(columns, k * _BLOCK, _BLOCK))
-        columns = jnp.where(places < k * _BLOCK, 0.0, _forward(corner, columns.T).T)
+        columns = jnp.where(row_numbers < k * _BLOCK, 0.0, _forward(corner, columns.T).T)
         return jax.lax.dynamic_update_slice_in_dim(root, columns, k * _BLOCK, 1)
 
-    root = jax.lax.fori_loop(0, places.size // _BLOCK, step, jnp.zeros_like(padded))
+    root = jax.lax.fori_loop(0, row_numbers.size // _BLOCK, step, jnp.zeros_like(padded))
     return jnp.tril(root)[:n, :n]
 
 
-def _padded(a):
+def _pad(a):
     """Pad a matrix to whole blocks, with ones on the diagonal."""
     n = a.shape[0]
     return jnp.eye(-(-n // _BLOCK) * _BLOCK, dtype=a.dtype).at[:n, :n].set(a)

@@ -37,12 +37,12 @@ def piecewise(
     """
     read = _reader(table, interval)
     _, powers, *degrees, functions = table.shape
-    along = None if s is None else chebyshev(s, *degrees)[0]
+    basis = None if s is None else chebyshev(s, *degrees)[0]
 
     def coefficient(i, f):
-        if along is None:
+        if basis is None:
             return read(i, f)
-        return sum(c * read(i, k, f) for k, c in enumerate(along))
+        return sum(c * read(i, k, f) for k, c in enumerate(basis))
 
     return tuple(horner(x, [coefficient(i, f) for i in range(powers)]) for f in range(functions))
 
@@ -57,10 +57,10 @@ def _piecewise_jvp(primals, tangents):
     rows, x = _rows(table, interval), x[None]
     inner, change = list(rows), jnp.zeros((table.shape[-1], *interval.shape), x.dtype)
     if s is not None:
-        along, across = (jnp.stack(c)[:, None] for c in chebyshev(s, table.shape[2]))
-        inner = [(row * along).sum(0) for row in rows]
+        basis, basis_slopes = (jnp.stack(c)[:, None] for c in chebyshev(s, table.shape[2]))
+        inner = [(row * basis).sum(0) for row in rows]
         if tangents[3] is not None:
-            slopes = [(row * across).sum(0) for row in rows]
+            slopes = [(row * basis_slopes).sum(0) for row in rows]
             change = change + horner(x, slopes) * tangents[3][None]
     if tangents[2] is not None:
         change = change + horner(x, [i * c for i, c in enumerate(inner)][1:]) * tangents[2][None]
@@ -75,8 +75,8 @@ def _reader(table, interval):
         offset_dims=(), collapsed_slice_dims=(0,), start_index_map=(0,)
     )
 
-    def read(*place):
-        index = first + int(np.ravel_multi_index(place, table.shape[1:]))
+    def read(*position):
+        index = first + int(np.ravel_multi_index(position, table.shape[1:]))
         return jax.lax.gather(
             flat, index[..., None], numbers, (1,), mode=jax.lax.GatherScatterMode.PROMISE_IN_BOUNDS
         )

@@ -88,12 +88,12 @@ def graded(x: AnyReals, start_squared: AnyReals, xp: ModuleType = jnp) -> tuple[
 
 
 def graded_rise(
-    x: AnyReals, to: AnyReals, step: AnyReals, start_squared: AnyReals, xp: ModuleType = jnp
+    x: AnyReals, end: AnyReals, step: AnyReals, start_squared: AnyReals, xp: ModuleType = jnp
 ) -> Any:
     """Compute g(to) − g(x) of `graded` without cancellation; `step` is to − x without rounding."""
     beta, kappa = _grading(start_squared)
     y = ((1 - beta) * x + beta) * x
-    dy = step * ((1 - beta) * (x + to) + beta)
+    dy = step * ((1 - beta) * (x + end) + beta)
     return xp.exp(kappa * y) * xp.expm1(kappa * dy) / xp.expm1(kappa)
 
 
@@ -126,16 +126,16 @@ def cosine_rule(
     dtype = breaks_squared.dtype
     breaks = [b for b, p in zip(breaks_squared, possible, strict=True) if p]
     leave_out = leave_out_first and bool(breaks) and all(possible)
-    most = len(breaks) + (0 if leave_out else 1)
-    edges, panels, all_there = _edges(breaks, dtype)
+    max_panels = len(breaks) + (0 if leave_out else 1)
+    edges, panels, all_exist = _edges(breaks, dtype)
     omitted = jnp.zeros((), dtype)
     if leave_out:
-        omitted = jnp.where(all_there, edges[1], 0.0)
-        panels = panels - all_there.astype(panels.dtype)
+        omitted = jnp.where(all_exist, edges[1], 0.0)
+        panels = panels - all_exist.astype(panels.dtype)
         # Unless all are there, one edge too many stands at 1.
-        edges = jnp.where(all_there, edges[1:], edges[:-1])
+        edges = jnp.where(all_exist, edges[1:], edges[:-1])
     starts, widths = edges[:-1], edges[1:] - edges[:-1]
-    total = _even(n, most) if entering else _nodes(n, most)
+    total = _round_up(n, max_panels) if entering else _nodes(n, max_panels)
     x, w, start, width = _on_panels(starts, widths, panels, total)
     g, dg = graded(x, jnp.zeros_like(start) if entering else start)
     nu_squared = width * g * g
@@ -159,56 +159,57 @@ def quadratic_rule(
     The variable of a panel that starts at b is √(μ − b), which keeps polynomials what they are.
     Arguments as for `cosine_rule`; the break points themselves, not their squares.
     """
-    there = [b for b, p in zip(breaks, possible, strict=True) if p]
-    edges, panels, _ = _edges(there, breaks.dtype)
+    existing = [b for b, p in zip(breaks, possible, strict=True) if p]
+    edges, panels, _ = _edges(existing, breaks.dtype)
     starts, widths = edges[:-1], edges[1:] - edges[:-1]
-    x, w, start, width = _on_panels(starts, widths, panels, _nodes(n, len(there) + 1))
+    x, w, start, width = _on_panels(starts, widths, panels, _nodes(n, len(existing) + 1))
     return start + width * x * x, w * width * 2 * x
 
 
 def _on_panels(starts, widths, panels, n: int):
     """Coordinates and weights of `n` nodes on their panels, and these panels' starts and widths."""
-    x, w, owner = (jnp.asarray(row)[panels - 1] for row in _shared(n, starts.size))
+    x, w, owner = (jnp.asarray(row)[panels - 1] for row in _panel_nodes(n, starts.size))
     return x.astype(starts.dtype), w.astype(starts.dtype), starts[owner], widths[owner]
 
 
-def _nodes(n: int, most: int) -> int:
-    """Nodes in all, a number that every number of panels up to `most` divides."""
-    if most == 1:
+def _nodes(n: int, max_panels: int) -> int:
+    """Nodes in all, a number that every number of panels up to `max_panels` divides."""
+    if max_panels == 1:
         return n
-    each = max(2, n // 2 if most == 2 else n - n // 4)
-    return _even(most * each, most)
+    per_panel = max(2, n // 2 if max_panels == 2 else n - n // 4)
+    return _round_up(max_panels * per_panel, max_panels)
 
 
-def _even(n: int, most: int) -> int:
-    """At least `n`, and a number that every number of panels up to `most` divides."""
-    unit = math.lcm(*range(1, most + 1))
+def _round_up(n: int, max_panels: int) -> int:
+    """At least `n`, and a number that every number of panels up to `max_panels` divides."""
+    unit = math.lcm(*range(1, max_panels + 1))
     return unit * math.ceil(n / unit)
 
 
 @lru_cache(maxsize=64)
-def _shared(n: int, most: int):
-    """Nodes and weights on each node's own panel, and its number, for 1 to `most` panels."""
-    rules = [gauss_legendre(n // panels) for panels in range(1, most + 1)]
+def _panel_nodes(n: int, max_panels: int):
+    """Nodes and weights on each node's own panel, and its number, for 1 to `max_panels` panels."""
+    rules = [gauss_legendre(n // panels) for panels in range(1, max_panels + 1)]
     x, w = (
         np.stack([np.tile(rule[i], panels) for panels, rule in enumerate(rules, 1)]) for i in (0, 1)
     )
-    owner = np.stack([np.repeat(np.arange(p, dtype=np.int32), n // p) for p in range(1, most + 1)])
+    counts = range(1, max_panels + 1)
+    owner = np.stack([np.repeat(np.arange(p, dtype=np.int32), n // p) for p in counts])
     return x, w, owner
 
 
 def _edges(breaks: list[Array], dtype):
     """0, the break points in order and 1s; the number of panels; whether all points exist."""
-    distinct, all_there = [], jnp.asarray(True)
+    distinct, all_exist = [], jnp.asarray(True)
     for i, b in enumerate(breaks):
-        there = (b > 0) & (b < 1)
-        all_there = all_there & there
+        exists = (b > 0) & (b < 1)
+        all_exist = all_exist & exists
         for other in breaks[:i]:
-            there = there & (b != other)  # two at one place are one
-        distinct.append(there)
+            exists = exists & (b != other)  # two at one place are one
+        distinct.append(exists)
     inner = jnp.stack(
         [jnp.where(d, b, 1.0) for d, b in zip(distinct, breaks, strict=True)]
         + [jnp.ones((), dtype)]
     )
     panels = 1 + sum(d.astype(jnp.int32) for d in distinct)
-    return jnp.concatenate([jnp.zeros(1, dtype), jnp.sort(inner)]), jnp.asarray(panels), all_there
+    return jnp.concatenate([jnp.zeros(1, dtype), jnp.sort(inner)]), jnp.asarray(panels), all_exist

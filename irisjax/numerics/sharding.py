@@ -23,14 +23,14 @@ def vary_alike(tree: _T, *others: object) -> _T:
     if not axes:
         return tree
 
-    def widened(x):
+    def widen_missing(x):
         missing = tuple(sorted(axes - _axes(x)))
-        return _widened(x, missing) if missing else x
+        return _widen(x, missing) if missing else x
 
-    return jax.tree.map(widened, tree)
+    return jax.tree.map(widen_missing, tree)
 
 
-def laid_out(function: Callable[..., Any], like: Array, *arguments: object) -> Any:
+def call_with_layout(function: Callable[..., Any], like: Array, *arguments: object) -> Any:
     """Return `function(*arguments)`, layouts inside left to the compiler on explicit meshes.
 
     Look-ups, and reshapes of several axes at once, have no layout that follows from their inputs'.
@@ -39,13 +39,13 @@ def laid_out(function: Callable[..., Any], like: Array, *arguments: object) -> A
     """
     if AxisType.Explicit not in jax.sharding.get_abstract_mesh().axis_types:
         return function(*arguments)
-    whole = jax.sharding.auto_axes(function, out_sharding=PartitionSpec())
+    replicated = jax.sharding.auto_axes(function, out_sharding=PartitionSpec())
     first = tuple(jax.typeof(like).sharding.spec)[:1]
     if first in ((), (None,)):
-        return whole(*arguments)
+        return replicated(*arguments)
     specs = jax.tree.map(
         lambda x: PartitionSpec(*first) if x.shape[:1] == like.shape[:1] else PartitionSpec(),
-        jax.eval_shape(whole, *arguments),
+        jax.eval_shape(replicated, *arguments),
     )
     return jax.sharding.auto_axes(function, out_sharding=specs)(*arguments)
 
@@ -56,6 +56,6 @@ def _axes(x) -> frozenset[str]:
     return frozenset(kind.vma if hasattr(kind, "vma") else kind.mat.varying)
 
 
-def _widened(x, axes: tuple[str, ...]):
+def _widen(x, axes: tuple[str, ...]):
     # JAX before 0.8 has `pvary` only.
     return lax.pcast(x, axes, to="varying") if hasattr(lax, "pcast") else lax.pvary(x, axes)  # pyright: ignore[reportAttributeAccessIssue]

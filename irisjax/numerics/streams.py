@@ -14,7 +14,7 @@ Word = UInt32[Array, "..."]
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 
 
-def checked_key(key: Any) -> PRNGKey:
+def check_key(key: Any) -> PRNGKey:
     """Return `key`; raise `ValueError` unless it is one threefry key as `jax.random.key` makes."""
     if key is None:
         raise ValueError("MonteCarlo needs a key: pass key=jax.random.key(seed)")

@@ -37,18 +37,18 @@ class Tucker(eqx.Module):
         values = np.asarray(values, np.float64)
         *shape, _ = values.shape
         largest = np.abs(values).reshape(-1, values.shape[-1]).max(axis=0)
-        found = values / np.where(largest > 0, largest, 1.0)
+        scaled = values / np.where(largest > 0, largest, 1.0)
         for axis, nodes in enumerate(shape):
-            found = _along(found, axis, coefficients(nodes))
-        factors, core = [], found
-        size = np.sqrt(np.sum(found**2))
+            scaled = _apply_along(scaled, axis, coefficients(nodes))
+        factors, core = [], scaled
+        size = np.sqrt(np.sum(scaled**2))
         for axis in range(len(shape)):
-            unfolded = np.moveaxis(found, axis, 0).reshape(shape[axis], -1)
+            unfolded = np.moveaxis(scaled, axis, 0).reshape(shape[axis], -1)
             left, weights, _ = np.linalg.svd(unfolded, full_matrices=False)
-            rest = np.sqrt(np.cumsum(weights[::-1] ** 2)[::-1])
-            rank = max(1, int((rest > tolerance * size).sum()))
+            tail = np.sqrt(np.cumsum(weights[::-1] ** 2)[::-1])
+            rank = max(1, int((tail > tolerance * size).sum()))
             factors.append(left[:, :rank])
-            core = _along(core, axis, left[:, :rank].T)
+            core = _apply_along(core, axis, left[:, :rank].T)
         core = core * largest
         return cls(tuple(jnp.asarray(f, dtype) for f in factors), jnp.asarray(core, dtype))
 
@@ -67,5 +67,5 @@ def grid_points(axes: Sequence[np.ndarray]) -> np.ndarray:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
 
 
-def _along(values: np.ndarray, axis: int, matrix: np.ndarray) -> np.ndarray:
+def _apply_along(values: np.ndarray, axis: int, matrix: np.ndarray) -> np.ndarray:
     return np.moveaxis(np.tensordot(matrix, values, axes=(1, axis)), 0, axis)

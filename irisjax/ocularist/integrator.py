@@ -22,7 +22,7 @@ from irisjax.numerics.interpolation import bilinear, multilinear, smoothstep
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.ocularist.coats import Coat, Painting, over, texels, through
 from irisjax.ocularist.cones import Cones
-from irisjax.optics.conicoid import Parts, joined, parts
+from irisjax.optics.conicoid import Parts, from_parts, parts
 from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
@@ -216,8 +216,8 @@ def _geometry(
         jnp.concatenate([z[:1], profile.z, z[1:]]),
         jnp.concatenate([ends[:1], profile.radius, ends[1:]]),
     )
-    direction = joined(pixels.direction)
-    origin = joined(pixels.point) - _BEHIND * direction
+    direction = from_parts(pixels.direction)
+    origin = from_parts(pixels.point) - _BEHIND * direction
     hit = whole.meet(origin, direction)
     point = origin + hit.distance[..., None] * direction
     share = jnp.where(hit.met, pixels.share, 0.0)

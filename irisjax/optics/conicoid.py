@@ -65,7 +65,7 @@ class Conicoid(eqx.Module):
         z = z - self.apex
         # Counted from the point nearest to the apex: from a far origin what is subtracted below
         # would be of the size of its square.
-        ahead = -dot(joined([x, y, z]), direction)
+        ahead = -dot(from_parts([x, y, z]), direction)
         x, y, z = x + ahead * u, y + ahead * v, z + ahead * w
         a = u * u + v * v + self.shape * w * w
         b = x * u + y * v + (self.shape * z - self.radius) * w
@@ -88,19 +88,19 @@ def parts(a: Float[Array, "*s n"]) -> Parts:
     return tuple(a[..., i] for i in range(a.shape[-1]))
 
 
-def joined(a: Sequence[Float[Array, "*s"]]) -> Vector:
+def from_parts(a: Sequence[Float[Array, "*s"]]) -> Vector:
     """Join components to vectors: the inverse of `parts`."""
     return jnp.stack(list(a), axis=-1)
 
 
-def along(origin: Vector, t: Float[Array, "*s"], direction: Vector) -> Vector:
+def advance(origin: Vector, t: Float[Array, "*s"], direction: Vector) -> Vector:
     """Compute the points origin + t direction."""
-    return joined([o + t * d for o, d in zip(parts(origin), parts(direction), strict=True)])
+    return from_parts([o + t * d for o, d in zip(parts(origin), parts(direction), strict=True)])
 
 
 def choose(mask: Bool[Array, "*s"], a: Vector, b: Float[Array, "*#s 3"]) -> Vector:
     """Select vectors of `a` where `mask` is true, otherwise of `b`."""
-    return joined([jnp.where(mask, x, y) for x, y in zip(parts(a), parts(b), strict=True)])
+    return from_parts([jnp.where(mask, x, y) for x, y in zip(parts(a), parts(b), strict=True)])
 
 
 def from_axis(point: Vector) -> Float[Array, "*s"]:
@@ -135,10 +135,10 @@ def refract_vector(
     inside = safe_sqrt(1 - ratio * ratio * (1 - cosine * cosine))
     turn = ratio * cosine - inside
     pairs = zip(parts(direction), parts(normal), strict=True)
-    out = joined([ratio * d + turn * n for d, n in pairs])
+    out = from_parts([ratio * d + turn * n for d, n in pairs])
     return out, fresnel(jnp.maximum(cosine, 0), inside, n_in, n_out)[1]
 
 
 def reflect_vector(direction: Vector, normal: Vector) -> Vector:
     """Reflect unit vectors at unit normals of either sign, by a share of 1 − `refract_vector`'s."""
-    return along(direction, -2 * dot(direction, normal), normal)
+    return advance(direction, -2 * dot(direction, normal), normal)

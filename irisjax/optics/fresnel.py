@@ -75,20 +75,20 @@ def coherence(cos_in: Cosine, cos_out: Cosine, n_in: Real, n_out: Real) -> Coher
     cosine (field ∝ e^{−iωt}): linearly polarised light comes back elliptical. [Born & Wolf 1999,
     Section 1.5.4]
     """
-    beyond = critical_cosine_squared(n_in, n_out) - cos_in * cos_in
-    total, empty = beyond > 0, (cos_in == 0) & (cos_out == 0)
+    past_critical = critical_cosine_squared(n_in, n_out) - cos_in * cos_in
+    total, empty = past_critical > 0, (cos_in == 0) & (cos_out == 0)
     a, b = (jnp.where(empty, 1.0, c) for c in (cos_in, cos_out))
     x = 2 * a * b / ((n_in * a + n_out * b) * (n_out * a + n_in * b))
     # Nothing meets an interface of equal media, exactly along it neither; any other one mirrors.
     unhindered = jnp.where(n_in == n_out, 1 / (n_in * n_in + n_out * n_out), 0.0)
     x = jnp.where(empty, unhindered, x)
     sine_squared = jnp.where(total, 1 - cos_in * cos_in, 1.0)
-    q = jnp.where(total, cos_in * safe_sqrt(beyond) / sine_squared, 0.0)
-    turned = 2 * q / (1 + q * q)
-    lost = jnp.where(total, turned * q, (n_in * n_in + n_out * n_out) * x)
+    q = jnp.where(total, cos_in * safe_sqrt(past_critical) / sine_squared, 0.0)
+    phase_sine = 2 * q / (1 + q * q)
+    lost = jnp.where(total, phase_sine * q, (n_in * n_in + n_out * n_out) * x)
     return Coherence(
-        reflected=lax.complex(1 - lost, -turned),
-        lost=lax.complex(lost, turned),
+        reflected=lax.complex(1 - lost, -phase_sine),
+        lost=lax.complex(lost, phase_sine),
         passed=jnp.where(total, 0.0, 2 * n_in * n_out * x),
         contrast=jnp.where(total, 0.0, (n_in - n_out) * (n_in + n_out) * x),
     )
@@ -104,14 +104,14 @@ def refracted(rule: CosineRule, k: int, n_in: Real, n_out: Real) -> Float[Array,
     return n_in / n_out * safe_sqrt(rule.excess[k])
 
 
-def _shares(cos_in, cos_out, n_in, n_out, along, across):
-    """Compute ((x − y)/(x + y))², x = `along` μ_in, y = `across` μ_out, and 1 minus that."""
+def _shares(cos_in, cos_out, n_in, n_out, w_in, w_out):
+    """Compute ((x − y)/(x + y))², x = `w_in` μ_in, y = `w_out` μ_out, and 1 minus that."""
     # Two equal media at exact grazing are 0/0: a ray there meets no interface, so it is
     # transmitted.
     grazing = (cos_in == 0) & (cos_out == 0)
     a, b = (jnp.where(grazing, 1.0, c) for c in (cos_in, cos_out))
-    total = along * a + across * b
-    amplitude = (along * a - across * b) / total
+    total = w_in * a + w_out * b
+    amplitude = (w_in * a - w_out * b) / total
     # Not over the square of `total`, which underflows for cosines below 1e-160.
     transmittance = 4.0 * n_in * n_out * (a / total) * (b / total)
     mirrors = jnp.where(n_in == n_out, 0.0, 1.0)

@@ -23,8 +23,8 @@ def thick_layer(absorption: AnyReals, scattering: AnyReals, xp: Any = jnp) -> An
         xp: `numpy` to compute on the host.
     """
     product = absorption * (absorption + 2 * scattering)
-    some = product > 0
-    root = xp.where(some, xp.sqrt(xp.where(some, product, 1.0)), 0.0)
+    positive = product > 0
+    root = xp.where(positive, xp.sqrt(xp.where(positive, product, 1.0)), 0.0)
     total = absorption + scattering + root
     return scattering / xp.where(total != 0, total, 1.0)
 
@@ -39,10 +39,10 @@ def layer_before(absorption: AnyReals, scattering: AnyReals, thickness: Any, beh
         thickness: X.
         behind: R_g.
     """
-    lost = absorption / scattering
-    b = jnp.sqrt(lost * (lost + 2) + 1e-12)  # at K = 0 coth has a limit and the root no slope
+    ratio = absorption / scattering
+    b = jnp.sqrt(ratio * (ratio + 2) + 1e-12)  # at K = 0 coth has a limit and the root no slope
     c = b / jnp.tanh(b * scattering * thickness)
-    return (1 - behind * (1 + lost - c)) / (1 + lost - behind + c)
+    return (1 - behind * (1 + ratio - c)) / (1 + ratio - behind + c)
 
 
 def absorption_of(reflectance: AnyReals, scattering: AnyReals) -> Any:

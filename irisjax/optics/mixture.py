@@ -90,8 +90,8 @@ def mean_henyey_greenstein(centre: Real, reach: Real, g: Real) -> Array:
     [DLMF 19.2.8 with 19.4].
     """
     towards = jnp.where(g < 0, -reach, reach)
-    least, most = _base(centre + towards, g), _base(centre - towards, g)
-    return (1 - g) * (1 + g) * _elliptic_e(least / most) / (least * jnp.sqrt(most))
+    smallest, largest = _base(centre + towards, g), _base(centre - towards, g)
+    return (1 - g) * (1 + g) * _elliptic_e(smallest / largest) / (smallest * jnp.sqrt(largest))
 
 
 def _elliptic_e(complement):

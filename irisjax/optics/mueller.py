@@ -31,5 +31,5 @@ def polarised_at(angle: Float[Array, "*s"]) -> Float[Array, "*s 4"]:
 
 def stokes(matrix: Float[Array, "*s 4 4"]) -> Float[Array, "*s 4 4"]:
     """A matrix that acts on the intensities along both axes, U and V, as one on I, Q, U, V."""
-    to, back = (jnp.asarray(x, matrix.dtype) for x in (_TO_STOKES, _TO_INTENSITIES))
-    return to @ matrix @ back
+    left, right = (jnp.asarray(x, matrix.dtype) for x in (_TO_STOKES, _TO_INTENSITIES))
+    return left @ matrix @ right

@@ -30,20 +30,20 @@ def scattering_operator(rule: CosineRule) -> Float[Array, "n n"]:
     """
     n, dtype = rule.cosine.shape[0], rule.cosine.dtype
 
-    def one(starts, widths):
+    def one_panel(starts, widths):
         # Always the same: made once, on the host.
-        return jnp.asarray(_whole(n), dtype)
+        return jnp.asarray(_one_panel_operator(n), dtype)
 
-    def several(starts, widths, *, panels):
+    def several_panels(starts, widths, *, panels):
         # A batch computes all cases and chooses: those not chosen must be finite too.
         chosen = rule.panels == panels
         starts = jnp.where(chosen, starts[:panels], jnp.asarray(np.arange(panels) / panels, dtype))
         widths = jnp.where(chosen, widths[:panels], 1 / panels)
         return _product_integrated(starts, widths, n // panels, jnp)
 
-    more = [functools.partial(several, panels=p) for p in range(2, len(rule.starts) + 1)]
+    cases = [functools.partial(several_panels, panels=p) for p in range(2, len(rule.starts) + 1)]
     # With one case this is that case, without a branch.
-    return jax.lax.switch(rule.panels - 1, [one, *more], rule.starts, rule.widths)
+    return jax.lax.switch(rule.panels - 1, [one_panel, *cases], rule.starts, rule.widths)
 
 
 def averaged_kernel(
@@ -89,19 +89,19 @@ def _product_integrated(starts, widths, m: int, xp: ModuleType):
     """The operator of panels with `m` nodes each."""
     panels, dtype, lagrange = starts.shape[0], starts.dtype, _lagrange(m)
     x = gauss_legendre(m)[0][:, None]
-    targets = [_places(starts, widths, a, x, 1 - x, xp) for a in range(panels)]
+    targets = [_panel_points(starts, widths, a, x, 1 - x, xp) for a in range(panels)]
     pairs, measures = [], []
     for a, b in itertools.product(range(panels), repeat=2):
-        target, p = targets[a], _points(m, a, b)
-        source = _places(starts, widths, b, np.atleast_2d(p.x), np.atleast_2d(p.rest), xp)
+        target, p = targets[a], _log_nodes(m, a, b)
+        source = _panel_points(starts, widths, b, np.atleast_2d(p.x), np.atleast_2d(p.rest), xp)
         if a == b:
-            at, to, step = (xp.asarray(v, dtype) for v in (x, p.x, p.step))
-            rise = graded_rise(at, to, step, starts[a], xp)
+            target_x, source_x, step = (xp.asarray(v, dtype) for v in (x, p.x, p.step))
+            rise = graded_rise(target_x, source_x, step, starts[a], xp)
             difference = widths[a] * xp.abs(rise) * (source.g + target.g)
         else:
             lower, upper = (target, source) if b > a else (source, target)
-            between = widths[min(a, b) + 1 : max(a, b)].sum()
-            difference = between + (lower.to_end + upper.from_start)
+            gap = widths[min(a, b) + 1 : max(a, b)].sum()
+            difference = gap + (lower.to_end + upper.from_start)
         sines = target.sine_square, source.sine_square
         pairs.append(xp.broadcast_arrays(target.cosine, source.cosine, *sines, difference))
         measures.append(source.slope * xp.asarray(np.atleast_2d(p.weight), dtype))
@@ -109,25 +109,25 @@ def _product_integrated(starts, widths, m: int, xp: ModuleType):
     arguments = [xp.concatenate([v.ravel() for v in each]) for each in zip(*pairs, strict=True)]
     k = averaged_kernel(*arguments, xp=xp)
     ends = np.cumsum([pair[0].size for pair in pairs])[:-1]
-    found = [
+    values = [
         v.reshape(pair[0].shape) * measure
         for v, pair, measure in zip(xp.split(k, ends), pairs, measures, strict=True)
     ]
-    own = np.stack([_points(m, a, a).x for a in range(panels)])
-    moments = _moments(xp.stack(found[:: panels + 1]), own, m, xp)
+    own_x = np.stack([_log_nodes(m, a, a).x for a in range(panels)])
+    moments = _moments(xp.stack(values[:: panels + 1]), own_x, m, xp)
     rows = []
     for a in range(panels):
-        along = [
+        blocks = [
             moments[a]
             if a == b
-            else found[a * panels + b] @ xp.asarray(_legendre(_points(m, a, b).x, m), dtype)
+            else values[a * panels + b] @ xp.asarray(_legendre(_log_nodes(m, a, b).x, m), dtype)
             for b in range(panels)
         ]
-        rows.append(xp.stack(along, axis=1) @ xp.asarray(lagrange, dtype))
+        rows.append(xp.stack(blocks, axis=1) @ xp.asarray(lagrange, dtype))
     return xp.concatenate(rows).reshape(panels * m, panels * m)
 
 
-class _Places(NamedTuple):
+class _PanelPoints(NamedTuple):
     """Points of a panel in its variable g, with the arguments of the kernel."""
 
     g: Any
@@ -138,7 +138,7 @@ class _Places(NamedTuple):
     slope: Any  # dμ/dx
 
 
-def _places(starts, widths, panel: int, x, rest, xp) -> _Places:
+def _panel_points(starts, widths, panel: int, x, rest, xp) -> _PanelPoints:
     """Points by x and 1 − x."""
     start, width = starts[panel], widths[panel]
     x, rest = (xp.asarray(v, starts.dtype) for v in (x, rest))
@@ -146,10 +146,10 @@ def _places(starts, widths, panel: int, x, rest, xp) -> _Places:
     from_start = width * g * g
     to_end = width * graded_rise(x, 1.0, rest, start, xp) * (1 + g)
     cosine, sine_square = xp.sqrt(start + from_start), widths[panel + 1 :].sum() + to_end
-    return _Places(g, from_start, to_end, cosine, sine_square, width * g * slope / cosine)
+    return _PanelPoints(g, from_start, to_end, cosine, sine_square, width * g * slope / cosine)
 
 
-class _Points(NamedTuple):
+class _LogNodes(NamedTuple):
     """Nodes and weights of ∫₀¹ dx that resolve a logarithm: x, 1 − x, and x less the target's."""
 
     x: np.ndarray
@@ -159,36 +159,36 @@ class _Points(NamedTuple):
 
 
 @functools.lru_cache(maxsize=64)
-def _points(m: int, target: int, source: int) -> _Points:
+def _log_nodes(m: int, target: int, source: int) -> _LogNodes:
     """Return nodes and weights in panel `source` for the `m` targets of panel `target`."""
-    up, low = _dense_at_start(m + 36), _dense_at_end(m // 2 + 32, source == 0)
+    right, left = _dense_at_start(m + 36), _dense_at_end(m // 2 + 32, source == 0)
     if target < source:
-        return up
+        return right
     if target > source:
-        return low
-    at = gauss_legendre(m)[0][:, None]
-    return _Points(
-        np.concatenate([at * low.x, at + (1 - at) * up.x], 1),
-        np.concatenate([(1 - at) + at * low.rest, (1 - at) * up.rest], 1),
-        np.concatenate([at * low.weight, (1 - at) * up.weight], 1),
-        np.concatenate([-at * low.rest, (1 - at) * up.x], 1),
+        return left
+    target_x = gauss_legendre(m)[0][:, None]
+    return _LogNodes(
+        np.concatenate([target_x * left.x, target_x + (1 - target_x) * right.x], 1),
+        np.concatenate([(1 - target_x) + target_x * left.rest, (1 - target_x) * right.rest], 1),
+        np.concatenate([target_x * left.weight, (1 - target_x) * right.weight], 1),
+        np.concatenate([-target_x * left.rest, (1 - target_x) * right.x], 1),
     )
 
 
-def _dense_at_start(n: int) -> _Points:
+def _dense_at_start(n: int) -> _LogNodes:
     # t⁴: what is left of the logarithm, t³ ln t, Gauss's rule integrates with an error of n⁻⁸.
     t, w = gauss_legendre(n)
-    return _Points(t**4, -np.expm1(4 * np.log(t)), 4 * t**3 * w, t**4)
+    return _LogNodes(t**4, -np.expm1(4 * np.log(t)), 4 * t**3 * w, t**4)
 
 
-def _dense_at_end(half: int, first: bool) -> _Points:
+def _dense_at_end(half: int, first: bool) -> _LogNodes:
     """Return 2 `half` points; a panel that does not start at μ = 0 may be steep there too."""
     p = _dense_at_start(2 * half if first else half)
     x, rest, weight = p.rest[::-1], p.x[::-1], p.weight[::-1]
     if not first:
         x, rest = np.concatenate([p.x / 2, 1 - rest / 2]), np.concatenate([1 - p.x / 2, rest / 2])
         weight = np.concatenate([p.weight, weight]) / 2
-    return _Points(x, rest, weight, -rest)
+    return _LogNodes(x, rest, weight, -rest)
 
 
 def _legendre(x, m: int):
@@ -214,9 +214,9 @@ def _moments(values, x, m: int, xp):
     y = jnp.asarray(2 * x - 1, values.dtype)
 
     def step(state, k):
-        before, now = state
-        after = ((2 * k + 1) * y * now - k * before) / (k + 1)
-        return (now, after), (values * now).sum(-1)
+        previous, current = state
+        next_ = ((2 * k + 1) * y * current - k * previous) / (k + 1)
+        return (current, next_), (values * current).sum(-1)
 
     state = (jnp.zeros_like(y), jnp.ones_like(y))
     moments = jax.lax.scan(step, state, jnp.arange(m, dtype=values.dtype))[1]
@@ -224,6 +224,6 @@ def _moments(values, x, m: int, xp):
 
 
 @functools.lru_cache(maxsize=32)
-def _whole(n: int) -> np.ndarray:
+def _one_panel_operator(n: int) -> np.ndarray:
     """The operator of one panel, [0, 1]: constants, in double precision whatever the program's."""
     return _product_integrated(np.zeros(1), np.ones(1), n, np)

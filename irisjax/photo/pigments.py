@@ -33,7 +33,7 @@ from irisjax.infer.importance import Start
 from irisjax.infer.least_squares import least_squares, levenberg_marquardt
 from irisjax.infer.posterior import Chains
 from irisjax.infer.priors import AbstractPrior, LogNormal
-from irisjax.numerics.chunks import by_rows
+from irisjax.numerics.chunks import map_rows
 from irisjax.photo.windows import ANGLES, RINGS, Windows
 from irisjax.tissue.iris import CONCENTRATIONS, Iris
 
@@ -294,13 +294,13 @@ def sample_pigments(
     with ThreadPoolExecutor(2) as pool:  # one program is too small for two cores
 
         def density(x: np.ndarray) -> np.ndarray:
-            return by_rows(partial(_density, held), np.asarray(x, np.float64), _ROWS, pool.map)
+            return map_rows(partial(_density, held), np.asarray(x, np.float64), _ROWS, pool.map)
 
         target: Any = SimpleNamespace(names=FREE_NAMES, log_density=density)
         start = Start(middle, covariance)
         chains = posterior.sample(target, start, walkers=WALKERS, max_steps=max_steps, key=key)
     x = chains.flat
-    drawn = by_rows(_drawn, np.asarray(x, np.float64), 4096)
+    drawn = map_rows(_drawn, np.asarray(x, np.float64), 4096)
     z = drawn.pop("z")
     estimates = {}
     for i, name in enumerate(FREE_NAMES):

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.sclera import limbus_depth
-from irisjax.optics.conicoid import joined
+from irisjax.optics.conicoid import from_parts
 from irisjax.photo.photograph import Ellipse, ellipse_through
 from irisjax.render.camera import Camera
 from irisjax.render.points import project_points
@@ -306,7 +306,7 @@ def _outlines(eye: Eye, front: Camera, v):
     slope = 0.0 if eye.iris_slope is None else eye.iris_slope
 
     def raised(points, depth):
-        return joined((*points, jnp.full_like(points[0], depth)))
+        return from_parts((*points, jnp.full_like(points[0], depth)))
 
     def one(v):
         place = jnp.hypot(v[0], v[1]), jnp.arctan2(v[1], v[0])

@@ -22,7 +22,7 @@ from scipy.stats import qmc
 from skimage.transform import downscale_local_mean, resize
 
 from irisjax.numerics.checks import Range
-from irisjax.numerics.chunks import by_rows, in_chunks
+from irisjax.numerics.chunks import map_chunks, map_rows
 from irisjax.numerics.interpolation import chebyshev
 from irisjax.photo.filling import fill_by_texture
 from irisjax.photo.photograph import Brightness, Colours, Mask
@@ -386,7 +386,7 @@ def _level(
     one = functools.partial(one, (response.coefficients, response.spans(), *numbers, loose))
     with ThreadPoolExecutor(2) as pool:
         each = _ROWS if tried is None else _ROWS_COARSEST
-        rows = by_rows(one, tuple(np.asarray(p, np.float32) for p in parts), each, pool.map)
+        rows = map_rows(one, tuple(np.asarray(p, np.float32) for p in parts), each, pool.map)
     whole: list[Any] = [np.zeros((*known.shape, *r.shape[1:]), np.float32) for r in rows]
     for picture_of, values in zip(whole, rows, strict=True):
         picture_of[known] = values
@@ -495,7 +495,7 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
         common = jnp.einsum("icp,cd,jdp->ijp", moved, loose, moved)
         return z, _inverse(told) + common, jnp.einsum("iip->ip", common), off
 
-    found = in_chunks(solve, tuple(jnp.moveaxis(r, 0, -1) for r in rows))
+    found = map_chunks(solve, tuple(jnp.moveaxis(r, 0, -1) for r in rows))
     return tuple(jnp.moveaxis(f, -1, 0) for f in found)
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from irisjax.anatomy.eye import Eye
-from irisjax.numerics.chunks import in_chunks
+from irisjax.numerics.chunks import map_chunks
 from irisjax.numerics.quadrature import gauss_legendre
 from irisjax.render.angular import AngularFunctions
 from irisjax.render.bands import Bands
@@ -194,4 +194,4 @@ def _power(response: TabulatedResponse, scales: Scales):
     def one(texels):
         return response.hemispherical(texels, 1.0)
 
-    return in_chunks(one, scales) if jax.tree.leaves(scales) else one(scales)
+    return map_chunks(one, scales) if jax.tree.leaves(scales) else one(scales)

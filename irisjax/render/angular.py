@@ -13,7 +13,7 @@ from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import chebyshev_nodes
-from irisjax.optics.conicoid import dot, joined, norm
+from irisjax.optics.conicoid import dot, from_parts, norm
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.polynomials import along_nodes, polynomials
 from irisjax.render.project import IrisPixels
@@ -166,13 +166,13 @@ def light_of(
     the share that reaches the camera.
     """
     seen, facing = turned
-    flat = eye.iris_normal(joined(seen.point))
-    normal = joined(normal_at(seen, eye, facing))
-    view = joined(seen.direction)
+    flat = eye.iris_normal(from_parts(seen.point))
+    normal = from_parts(normal_at(seen, eye, facing))
+    view = from_parts(seen.direction)
 
     def add(total, light):
         one, colour = light
-        arriving = joined(tuple(flux_at(one, eye.iris_radius, seen.point)))
+        arriving = from_parts(tuple(flux_at(one, eye.iris_radius, seen.point)))
         irradiance = jnp.maximum(-dot(arriving, normal), 0.0)
         power = norm(arriving)
         towards = arriving / jnp.where(power > 0, power, 1.0)[..., None]

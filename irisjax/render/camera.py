@@ -11,7 +11,7 @@ from irisjax._types import Scalar, float_field
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.optics.conicoid import Vector, dot, joined, norm, parts
+from irisjax.optics.conicoid import Vector, dot, from_parts, norm, parts
 from irisjax.render.refraction import direction_of
 
 CAMERA_LIMITS = {
@@ -122,7 +122,7 @@ class Camera(eqx.Module):
         out = aside / length + jnp.minimum(_CLEAR, self.distance * (self.distance / length))
         origin = [c + a - out * d for c, a, d in zip(_centre(eye), aim, direction, strict=True)]
         # Made once: XLA would otherwise work both out again for each of their many uses.
-        return jax.lax.optimization_barrier((joined(origin), joined(direction)))
+        return jax.lax.optimization_barrier((from_parts(origin), from_parts(direction)))
 
     def pixel(self, point: Vector, eye: Eye) -> tuple[Float[Array, "*s"], Float[Array, "*s"]]:
         """Column and row in which points (…, 3) in front of the camera appear along straight lines

@@ -19,7 +19,7 @@ from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.interpolation import bilinear, multilinear
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.optics.conicoid import Vector, dot, joined, norm, parts
+from irisjax.optics.conicoid import Vector, dot, from_parts, norm, parts
 from irisjax.render import refraction
 from irisjax.render.refraction import LARGEST_POLAR, UNIQUE_POLAR, RefractionFunction, on_cornea
 
@@ -93,7 +93,7 @@ class Illumination(eqx.Module):
             f = multilinear(self.flux, (index, *position))
         f = f * jnp.clip((self.largest - polar) / _SPACING + 1, 0, 1)[..., None]
         u, v, w = parts(f)
-        return joined([cos * u - sin * v, sin * u + cos * v, w])
+        return from_parts([cos * u - sin * v, sin * u + cos * v, w])
 
 
 def _searched(size: int) -> tuple[int, int, int]:

@@ -19,8 +19,8 @@ from irisjax.numerics.checks import is_known
 from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import bilinear, smoothstep
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.numerics.strokes import sections, stamped
-from irisjax.optics.conicoid import Parts, Vector, along, parts
+from irisjax.numerics.strokes import stamp_strokes, stroke_sections
+from irisjax.optics.conicoid import Parts, Vector, advance, parts
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights, wrapped
 from irisjax.tissue.diffusion import (
@@ -105,7 +105,8 @@ def lashes_seen(eye: Eye, camera: Camera) -> Float[Array, " pixels"] | None:
     longest, widest = jnp.abs(jnp.diff(strokes[..., :2], axis=1)).max(), 2 * radius.max()
     if not is_known(longest):
         longest, widest = camera.size[0] / 15, camera.size[0] / 100
-    return stamped(strokes, camera.shape, *sections(float(longest), float(widest))).ravel()
+    sections = stroke_sections(float(longest), float(widest))
+    return stamp_strokes(strokes, camera.shape, *sections).ravel()
 
 
 def meet_lids(eye: Eye, origin: Vector, direction: Vector) -> Float[Array, " pixels"]:
@@ -128,7 +129,7 @@ def lid_pixels(index: Array, eye: Eye, camera: Camera) -> LidPixels:
     lids, centre = eye.lids, sclera_centre(eye)
     assert lids is not None
     origin, direction = camera.towards(index, eye)
-    point = along(origin, meet_lids(eye, origin, direction), direction)
+    point = advance(origin, meet_lids(eye, origin, direction), direction)
     x, y, _ = parts(point)
     at = lids.edge(x, y)
     u, v, w = lids.normal(x, y, centre)

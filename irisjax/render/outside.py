@@ -20,7 +20,7 @@ from irisjax.anatomy.sclera import VeinMap
 from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import polar_bilinear
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.optics.conicoid import joined
+from irisjax.optics.conicoid import from_parts
 from irisjax.render.environment import Environment
 from irisjax.render.lids import BOUNCE, let_in, mirrored_past
 from irisjax.render.lights import Lights, wrapped
@@ -181,7 +181,7 @@ def white_colour(
     if veins is not None:
         # Each computed once: XLA would work out the place anew for each texture, and the blood for
         # each channel.
-        place = jax.lax.optimization_barrier(GlobeSurface(eye).place(joined(pixels.point)))
+        place = jax.lax.optimization_barrier(GlobeSurface(eye).place(from_parts(pixels.point)))
         blood = jax.lax.optimization_barrier(vein_depth_at(veins, *place))
     share = (1 - pixels.reflectance) * pixels.share / jnp.pi
     return jnp.stack(table.channels(blood)) * share
@@ -244,4 +244,4 @@ def mirrored(
 @pixelwise
 def room_at(pixels: MirrorPixels, environment: Environment) -> Float[Array, "3 pixels"]:
     """Radiance of the environment in the direction that the tear film mirrors."""
-    return environment.lookup(joined(pixels.mirror)).T
+    return environment.lookup(from_parts(pixels.mirror)).T

@@ -17,7 +17,7 @@ from jaxtyping import Array, Float
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.numerics.interpolation import multilinear, smoothstep
 from irisjax.numerics.roots import solve_2x2
-from irisjax.optics.conicoid import Vector, along, dot, joined, norm, parts, refract_vector
+from irisjax.optics.conicoid import Vector, advance, dot, from_parts, norm, parts, refract_vector
 
 LARGEST_POLAR = 2.25
 """Polar angle (radians) beyond which no light worth counting enters a cornea that ends at the
@@ -57,7 +57,7 @@ def enter(eye: Eye, entry: Vector, direction: Vector) -> Landing:
     path = eye.meet_iris(start, inside)
     if eye.attenuation is not None:
         share = share * jnp.exp(-eye.attenuation * path)
-    return Landing(along(start, path, inside), inside, share)
+    return Landing(advance(start, path, inside), inside, share)
 
 
 def into_chamber(
@@ -74,7 +74,7 @@ def into_chamber(
     if back is None:
         return entry, *once(refract_vector(direction, outer, 1.0, aqueous))
     within, first = once(refract_vector(direction, outer, 1.0, cornea.index))
-    start = once(along(entry, back.intersect(entry, within)[0], within))
+    start = once(advance(entry, back.intersect(entry, within)[0], within))
     inside, second = once(refract_vector(within, back.normal(start), cornea.index, aqueous))
     return start, inside, first * second
 
@@ -218,7 +218,7 @@ class RefractionFunction(eqx.Module):
             return cos * x - sin * y, sin * x + cos * y
 
         x, y, u, v, w = parts(found)
-        entry, flux = jnp.stack(turned(x, y), axis=-1), joined([*turned(u, v), w])
+        entry, flux = jnp.stack(turned(x, y), axis=-1), from_parts([*turned(u, v), w])
         lit = polar < UNIQUE_POLAR + 1e-3  # the last angle itself, whatever its rounding
         return Arrival(entry, jnp.where(lit[..., None], flux, 0.0))
 

@@ -15,7 +15,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import bilinear, polar_bilinear, smoothstep
 from irisjax.numerics.roots import safe_sqrt, share_of
-from irisjax.optics.conicoid import Parts, dot, from_axis, joined, norm, parts
+from irisjax.optics.conicoid import Parts, dot, from_axis, from_parts, norm, parts
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.illumination import Illumination, near_light
 from irisjax.render.lids import let_in
@@ -123,9 +123,9 @@ def _grid(eye: Eye, size: int):
     x, y = jnp.meshgrid(line, line)
     r = safe_sqrt(x * x + y * y)
     if eye.cornea is None:
-        return joined([x, y, eye.iris_depth + jnp.zeros_like(r)])
+        return from_parts([x, y, eye.iris_depth + jnp.zeros_like(r)])
     # About where the light enters.
-    return joined([x, y, eye.cornea.anterior.sagitta(jnp.minimum(r, eye.limbus_radius))])
+    return from_parts([x, y, eye.cornea.anterior.sagitta(jnp.minimum(r, eye.limbus_radius))])
 
 
 def _flux(lights: Lights, i, place, eye: Eye, tables: Illumination | None):
@@ -148,7 +148,7 @@ def _flux_past_lids(lights: Lights, i, place, eye: Eye, tables: Illumination | N
     if tables is not None and lights.distance is None:
         return tables.at(point, lights.towards[i]) * lights.irradiance[i]
     towards, power = lights.seen_from(parts(place), i)
-    towards = joined(towards)
+    towards = from_parts(towards)
     flux = -towards if tables is None else tables.at(point, towards)
     return flux * jnp.broadcast_to(power * spread, place.shape[:-1])[..., None]
 
@@ -180,7 +180,7 @@ def textures_at(pixels: IrisPixels, eye: Eye, textures: Any) -> Any:
 
 def _place_of(pixels: IrisPixels, eye: Eye) -> Place:
     """Angle (radians) and relative radius at which the pixels see maps that may stand turned."""
-    angle, radius = IrisSurface(eye).place(joined(pixels.point))
+    angle, radius = IrisSurface(eye).place(from_parts(pixels.point))
     angle = angle if pixels.turn is None else angle + pixels.turn
     # Computed once: XLA would otherwise work both out again for each texture.
     return jax.lax.optimization_barrier((angle, radius))
@@ -222,13 +222,13 @@ def hidden_by(cosine: Float[Array, "..."], eye: Eye) -> Float[Array, "..."]:
 
 def normal_at(pixels: IrisPixels, eye: Eye, facing: Facing | None) -> Parts:
     """Components of the iris's unit normals towards the cornea: tilted, or of the flat iris."""
-    return parts(eye.iris_normal(joined(pixels.point))) if facing is None else facing.normal
+    return parts(eye.iris_normal(from_parts(pixels.point))) if facing is None else facing.normal
 
 
 @pixelwise
 def tilted(pixels: IrisPixels, eye: Eye, relief: Float[Array, "3 angles radii"]) -> Facing:
     """Compute how a relief turns the iris at pixels, from its `relief_of`."""
-    u, v, w = parts(eye.iris_normal(joined(pixels.point)))
+    u, v, w = parts(eye.iris_normal(from_parts(pixels.point)))
     place = _place_of(pixels, eye)
     _, x, y = eye.ring_of(*pixels.point[:2])
     r = safe_sqrt(x * x + y * y)
@@ -247,7 +247,7 @@ def shares(pixels: IrisPixels, eye: Eye) -> Float[Array, " pixels"]:
     if eye.pupil_centre is not None:
         (x, y, z), (cx, cy) = away, eye.pupil_centre
         away = x - cx, y - cy, z
-    seen = smoothstep((from_axis(joined(away)) - edge) / eye.pupil_margin)
+    seen = smoothstep((from_axis(from_parts(away)) - edge) / eye.pupil_margin)
     share = pixels.share * seen
     return share if pixels.index is None else jnp.where(pixels.index < 0, 0.0, share)
 

@@ -25,7 +25,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import chebyshev_nodes, polar_bilinear
-from irisjax.optics.conicoid import joined, norm
+from irisjax.optics.conicoid import from_parts, norm
 from irisjax.optics.phase import rayleigh
 from irisjax.render.angular import AngularFunctions, surface_indices
 from irisjax.render.bands import Bands
@@ -295,7 +295,7 @@ def _sources(
     phase function (1/sr), and the slant 1/μ_i."""
     normal, flat = (
         jnp.stack(normal_at(pixels, data.eye, facing)),
-        data.eye.iris_normal(joined(pixels.point)).T,
+        data.eye.iris_normal(from_parts(pixels.point)).T,
     )
 
     def one(flux):

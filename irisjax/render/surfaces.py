@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.sclera import meet_sclera, sphere, vein_place
 from irisjax.numerics.angle import arctan2
-from irisjax.optics.conicoid import Vector, along, dot, from_axis
+from irisjax.optics.conicoid import Vector, advance, dot, from_axis
 
 Place = tuple[Float[Array, "*s"], Float[Array, "*s"]]
 """Angle (radians) of points of a surface and their way from its inner edge (0) to its outer (1)."""
@@ -43,7 +43,7 @@ class IrisSurface(AbstractSurface):
     def meet(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
         """The pupil is met too. In the chamber, or without a cornea."""
         t = self.eye.meet_iris(origin, direction)
-        point = along(origin, t, direction)
+        point = advance(origin, t, direction)
         cosine = -dot(direction, self.normal(point))
         return point, (t > 0) & (from_axis(point) < self.eye.iris_radius) & (cosine > 0)
 
@@ -74,7 +74,7 @@ class CorneaSurface(AbstractSurface):
         """
         front = self._front
         t, met = front.intersect(origin, direction)
-        point = along(origin, t, direction)
+        point = advance(origin, t, direction)
         normal = front.normal(point)
         shown = met & (t > 0) & (dot(direction, normal) < 0) & (normal[..., 2] < 0)
         # The globe begins at the limbus itself.
@@ -97,7 +97,7 @@ class GlobeSurface(AbstractSurface):
     def meet(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
         """Also where the cornea hides it."""
         distance, met = meet_sclera(self.eye, origin, direction)
-        return along(origin, distance, direction), met
+        return advance(origin, distance, direction), met
 
     def normal(self, point: Vector) -> Vector:
         return sphere(self.eye).normal(point)

@@ -27,15 +27,15 @@ def diffuse_reflectance(
     """
     albedo = scattering / (absorption + scattering)
     k = (1 + inside) / (1 - inside)
-    lost = 1 - albedo
-    return albedo / (1 + 2 * k * lost + (1 + 2 * k / 3) * jnp.sqrt(3 * lost))
+    coalbedo = 1 - albedo
+    return albedo / (1 + 2 * k * coalbedo + (1 + 2 * k / 3) * jnp.sqrt(3 * coalbedo))
 
 
 def slab_reflectance(
     absorption: Spectrum,
     scattering: Spectrum,
     thickness: Scalar | float,
-    behind: Spectrum,
+    background: Spectrum,
 ) -> Spectrum:
     """Diffuse reflectance of a slab by two fluxes, see `layer_before`.
 
@@ -43,9 +43,9 @@ def slab_reflectance(
         absorption: Absorption coefficient.
         scattering: Reduced scattering coefficient.
         thickness: Thickness, mm.
-        behind: Diffuse reflectance of what lies behind.
+        background: Diffuse reflectance of what lies behind.
     """
-    return layer_before(2 * absorption, 0.75 * scattering, thickness, behind)
+    return layer_before(2 * absorption, 0.75 * scattering, thickness, background)
 
 
 def fibrous_scattering(wavelengths: ArrayLike) -> Spectrum:

@@ -97,8 +97,8 @@ class RefractiveIndices(eqx.Module):
         """Check that another set equals this one up to rounding; either may be traced."""
         result = jnp.asarray(True)
         for ours, theirs in zip(jax.tree.leaves(self), jax.tree.leaves(other), strict=True):
-            near = 4 * jnp.finfo(theirs.dtype).eps * theirs
-            result = result & (jnp.abs(ours - theirs) <= near)
+            tolerance = 4 * jnp.finfo(theirs.dtype).eps * theirs
+            result = result & (jnp.abs(ours - theirs) <= tolerance)
         return result
 
     def agree(self, order: Order) -> Bool[Array, ""]:

@@ -182,9 +182,9 @@ class Iris(eqx.Module):
             order = self.indices().order()
         check_fields(self, LIMITS)
         if not isinstance(self.scattering, str) or self.scattering not in SCATTERING:
-            found = repr(self.scattering).split("(")[0]
+            text = repr(self.scattering).split("(")[0]
             known = ", ".join(SCATTERING)
-            raise ValueError(f"scattering = {found}; known: {known}; power_law holds a PowerLaw")
+            raise ValueError(f"scattering = {text}; known: {known}; power_law holds a PowerLaw")
         check_known("absorption", self.absorption, get_args(Absorption))
         object.__setattr__(self, "order", order)
 
@@ -213,14 +213,14 @@ class Iris(eqx.Module):
         """
         load = fields.pop("melanin_load", None)
         for name in fields:
-            known = ("melanin_load", *BLOOD, *FRACTIONS, *LIMITS, *_CHOICES, *POWER_LAW_LIMITS)
-            check_known("parameter", name, known)
+            names = ("melanin_load", *BLOOD, *FRACTIONS, *LIMITS, *_CHOICES, *POWER_LAW_LIMITS)
+            check_known("parameter", name, names)
         if FRACTIONS.keys() & fields.keys():
             return self._with_fractions(fields, load)
         if blood := {name: fields.pop(name) for name in BLOOD if name in fields}:
             if set(fields) & {"oxyhemoglobin", "deoxyhemoglobin"}:
-                said = f"{' and '.join(blood)}: both haemoglobins are set by it"
-                raise ValueError(f"{said}; give no oxyhemoglobin and deoxyhemoglobin")
+                message = f"{' and '.join(blood)}: both haemoglobins are set by it"
+                raise ValueError(f"{message}; give no oxyhemoglobin and deoxyhemoglobin")
             for name, value in blood.items():
                 check_range(name, value, BLOOD[name])
             blood = {name: getattr(self, name) for name in BLOOD} | blood
@@ -249,17 +249,17 @@ class Iris(eqx.Module):
         """A copy with F09's melanins, and with other fields changed before."""
         if missing := [name for name in FRACTIONS if name not in fields]:
             raise ValueError(f"the four {', '.join(FRACTIONS)} go together; give {missing[0]}")
-        given = {name: _as_float(name, fields.pop(name)) for name in FRACTIONS}
-        twice = [n for n in ("eumelanin", "pheomelanin", *_SHARES) if n in fields]
-        twice += ["melanin_load"] * (load is not None)
-        if twice or fields.get("absorption", "f09") != "f09":
-            name = (*twice, "absorption")[0]
+        percents = {name: _as_float(name, fields.pop(name)) for name in FRACTIONS}
+        conflicting = [n for n in ("eumelanin", "pheomelanin", *_SHARES) if n in fields]
+        conflicting += ["melanin_load"] * (load is not None)
+        if conflicting or fields.get("absorption", "f09") != "f09":
+            name = (*conflicting, "absorption")[0]
             raise ValueError(f"{', '.join(FRACTIONS)} set the melanins by F09; give no {name}")
-        for name, value in given.items():
+        for name, value in percents.items():
             check_range(name, value, FRACTIONS[name])
         iris = self.replace(**fields, absorption="f09")
         scale = PER_CENT / iris.intensification
-        values = zip(CONCENTRATIONS, given.values(), strict=True)
+        values = zip(CONCENTRATIONS, percents.values(), strict=True)
         return iris.with_layers({name: scale * value for name, value in values})
 
     def with_layers(self, concentrations: Mapping[str, Any]) -> "Iris":
@@ -278,13 +278,13 @@ class Iris(eqx.Module):
         """Return the melanins of both layers, by the names `CONCENTRATIONS`."""
         second = self.pheomelanin_abl_fraction
         shares = self.abl_fraction, self.abl_fraction if second is None else second
-        whole = self.abl_thickness + self.stroma_thickness
-        found = {}
+        depth = self.abl_thickness + self.stroma_thickness
+        concentrations = {}
         for kind, share in zip(("eumelanin", "pheomelanin"), shares, strict=True):
-            mass = getattr(self, kind) * whole
-            found[f"abl_{kind}"] = float(mass * share / self.abl_thickness)
-            found[f"stroma_{kind}"] = float(mass * (1 - share) / self.stroma_thickness)
-        return {name: found[name] for name in CONCENTRATIONS}
+            mass = getattr(self, kind) * depth
+            concentrations[f"abl_{kind}"] = float(mass * share / self.abl_thickness)
+            concentrations[f"stroma_{kind}"] = float(mass * (1 - share) / self.stroma_thickness)
+        return {name: concentrations[name] for name in CONCENTRATIONS}
 
     def volume_fractions(self) -> dict[str, float]:
         """Return the melanins of both layers in per cent of volume, by the names `FRACTIONS`; of an
@@ -366,20 +366,21 @@ class Iris(eqx.Module):
         """Masses per area in ABL and stroma, (2, pigments), in units of `Extinction` times mm."""
         height = self.intensification * (self.abl_thickness + self.stroma_thickness)
         melanin = jnp.stack([self.eumelanin, self.pheomelanin]) * height
-        fraction, own = self.abl_fraction, self.pheomelanin_abl_fraction
-        fraction = fraction if own is None else jnp.stack([fraction, own])
-        others = [self.oxyhemoglobin, self.deoxyhemoglobin, self.lutein, self.zeaxanthin]
-        others = jnp.stack(others) * self.stroma_thickness
-        abl = jnp.concatenate([melanin * fraction, jnp.zeros_like(others)])
-        return jnp.stack([abl, jnp.concatenate([melanin * (1 - fraction), others])])
+        fraction, pheomelanin_fraction = self.abl_fraction, self.pheomelanin_abl_fraction
+        if pheomelanin_fraction is not None:
+            fraction = jnp.stack([fraction, pheomelanin_fraction])
+        other_pigments = [self.oxyhemoglobin, self.deoxyhemoglobin, self.lutein, self.zeaxanthin]
+        other_pigments = jnp.stack(other_pigments) * self.stroma_thickness
+        abl = jnp.concatenate([melanin * fraction, jnp.zeros_like(other_pigments)])
+        return jnp.stack([abl, jnp.concatenate([melanin * (1 - fraction), other_pigments])])
 
     def parameters(self) -> dict[str, Any]:
         """Return every number that is set by its name, concrete scalars as Python floats."""
-        out, law = {}, {} if self.power_law is None else self.power_law.parameters()
+        numbers, law = {}, {} if self.power_law is None else self.power_law.parameters()
         for name, value in {**{n: getattr(self, n) for n in LIMITS}, **law}.items():
             if value is not None:
-                out[name] = value if isinstance(value, Tracer) or value.ndim else _short(value)
-        return out
+                numbers[name] = value if isinstance(value, Tracer) or value.ndim else _short(value)
+        return numbers
 
     def __repr__(self) -> str:
         ranges = LIMITS | POWER_LAW_LIMITS
@@ -406,8 +407,8 @@ def _as_float(name: str, value) -> jax.Array:
     if not jnp.issubdtype(dtype, jnp.floating) and not jnp.issubdtype(dtype, jnp.integer):
         raise ValueError(f"{name} must be a real number, got {value!r}")
     # Never weakly typed: an iris with fields replaced must not be compiled for again.
-    own = isinstance(value, jax.Array) and dtype.kind == "f"
-    return jnp.asarray(value, dtype if own else jnp.result_type(float))
+    is_float_array = isinstance(value, jax.Array) and dtype.kind == "f"
+    return jnp.asarray(value, dtype if is_float_array else jnp.result_type(float))
 
 
 assert {f.name for f in dataclasses.fields(Iris)} == {*LIMITS, *_CHOICES, "order"}

@@ -1,14 +1,11 @@
 """The optical description that transport works on: the layers between the chambers of the eye."""
 
-import math
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from irisjax._types import Numbers, Spectrum
-from irisjax.numerics.checks import Range, check_range
+from irisjax._types import Spectrum
 from irisjax.numerics.roots import share_of
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.indices import Order, RefractiveIndices
@@ -38,41 +35,6 @@ class Layers(eqx.Module):
     order: Order
     phase: PhaseMixture | None = None
     ipe_absorption: Spectrum | None = None
-
-    @classmethod
-    def from_coefficients(
-        cls,
-        mu_a_abl: Numbers,
-        mu_a_stroma: Numbers,
-        mu_s_stroma: Numbers,
-        *,
-        abl_thickness: Numbers,
-        stroma_thickness: Numbers,
-        indices: RefractiveIndices,
-    ) -> "Layers":
-        """Make layers from coefficients and thicknesses.
-
-        Args:
-            mu_a_abl: Absorption coefficient of the ABL, mm⁻¹, a number or one a wavelength.
-            mu_a_stroma: Absorption coefficient of the stroma, mm⁻¹.
-            mu_s_stroma: Scattering coefficient of the stroma, mm⁻¹.
-            abl_thickness: In mm.
-            stroma_thickness: In mm.
-            indices: Refractive indices around the layers.
-
-        Raises:
-            ValueError: For negative or non-finite concrete values.
-        """
-        depths = []
-        for name, mu, h in (
-            ("mu_a_abl", mu_a_abl, abl_thickness),
-            ("mu_a_stroma", mu_a_stroma, stroma_thickness),
-            ("mu_s_stroma", mu_s_stroma, stroma_thickness),
-        ):
-            depths.append(jnp.atleast_1d(jnp.asarray(mu, jnp.result_type(float)) * h))
-            check_range(f"{name} times its thickness", depths[-1], Range(0, math.inf))
-        depths = jnp.broadcast_arrays(*depths)
-        return cls(*depths, indices=indices, order=indices.order())
 
     @property
     def extinction(self) -> Spectrum:

@@ -64,10 +64,10 @@ class IrisMaps(eqx.Module):
             raise ValueError(
                 f"maps differ in shape: {', '.join(f'{n} {s}' for n, s in shapes.items())}"
             )
-        for name, found in self.present().items():
-            if not is_known(found):
+        for name, texture in self.present().items():
+            if not is_known(texture):
                 continue
-            m = np.asarray(found)
+            m = np.asarray(texture)
             colours = (_CHANNELS,) if name == "residual" else ()
             if m.ndim < 2 or m.shape[2:] != colours or min(m.shape) < 2:
                 need = "(angles, radii, 3)" if colours else "(angles, radii)"
@@ -95,16 +95,16 @@ class IrisMaps(eqx.Module):
         the radius in proportion, and the layers of every ring keep their volume.
         """
         _, radius = cell_centres(self.shape)
-        pressed = before.ring_area(radius) / after.ring_area(radius)
+        area_ratio = before.ring_area(radius) / after.ring_area(radius)
         layers = {name: m for name, m in self.present().items() if name.endswith("_depth")}
-        return self.replace(**{name: m * pressed for name, m in layers.items()})
+        return self.replace(**{name: m * area_ratio for name, m in layers.items()})
 
     def abl_scale(self, iris: Iris) -> Texture | None:
         """Melanin of the ABL relative to that of a uniform iris; `None` if it is one everywhere."""
         scale = None if self.abl_depth is None else self.abl_depth / iris.abl_thickness
         if self.freckles is not None:
-            dark = 1 + (FRECKLE - 1) * self.freckles
-            scale = dark if scale is None else scale * dark
+            freckle_scale = 1 + (FRECKLE - 1) * self.freckles
+            scale = freckle_scale if scale is None else scale * freckle_scale
         return scale
 
     def stroma_scale(self, iris: Iris) -> Texture | None:
@@ -115,8 +115,8 @@ class IrisMaps(eqx.Module):
         """Raise `ValueError` where a layer with a map of its thickness has none in the iris."""
         for layer in ("abl", "stroma"):
             thickness = getattr(iris, f"{layer}_thickness")
-            given = getattr(self, f"{layer}_depth") is not None
-            if given and is_known(thickness) and not np.asarray(thickness).all():
+            has_map = getattr(self, f"{layer}_depth") is not None
+            if has_map and is_known(thickness) and not np.asarray(thickness).all():
                 raise ValueError(
                     f"{layer}_thickness = 0 mm leaves no concentrations for the map "
                     f"{layer}_depth to keep"

@@ -86,8 +86,8 @@ def extinction(wavelengths: Numbers) -> Extinction:
     """
     if not is_known(wavelengths):
         x = as_float(wavelengths)
-        at = partial(piecewise_linear, x, outside=jnp.nan)
-        return Extinction(wavelengths=x, **_interpolate(at))
+        interpolate = partial(piecewise_linear, x, outside=jnp.nan)
+        return Extinction(wavelengths=x, **_interpolate(interpolate))
     grid = np.asarray(wavelengths, np.float64)
     return _on_host(grid.tobytes(), jnp.result_type(float) == jnp.float64)
 
@@ -128,8 +128,8 @@ def _check_inside(x: np.ndarray, span: tuple[float, float], message: str) -> Non
         raise ValueError(f"{message.format(x[bad][0])} ({low:g} to {high:g} nm)")
 
 
-def _interpolate(at) -> dict[str, Any]:
-    return {pigment: at(*_table(pigment)) for pigment in PIGMENTS}
+def _interpolate(interpolate) -> dict[str, Any]:
+    return {pigment: interpolate(*_table(pigment)) for pigment in PIGMENTS}
 
 
 @lru_cache(maxsize=len(_SOURCES))

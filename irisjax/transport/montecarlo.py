@@ -16,8 +16,8 @@ from jaxtyping import Array, Int
 
 from irisjax._types import PRNGKey
 from irisjax.numerics.checks import check_whole
-from irisjax.numerics.sharding import laid_out
-from irisjax.numerics.streams import checked_key, scales
+from irisjax.numerics.sharding import call_with_layout
+from irisjax.numerics.streams import check_key, scales
 from irisjax.tissue.layers import Layers
 from irisjax.transport import lanes
 from irisjax.transport.ilit.analog import ilit_event
@@ -95,7 +95,7 @@ class MonteCarlo(AbstractSolver):
 
         `first` and `last` may be traced.
         """
-        checked_key(key)
+        check_key(key)
         if isinstance(self.process, Ilit):
             check_rayleigh(self, layers)
         elif light.exits is not None:
@@ -109,7 +109,7 @@ class MonteCarlo(AbstractSolver):
         end = wanted if last is None else jnp.minimum(jnp.asarray(last, jnp.int32), wanted)
         mirrored = first_surface(light, layers.indices, layers.extinction.dtype)[0]
         incidence = -1.0 if light.cosine is None else light.cosine
-        return laid_out(
+        return call_with_layout(
             lambda *x: _count(*x, self),
             layers.extinction,
             *(key, layers, mirrored, incidence, start, end, cells, scales()),

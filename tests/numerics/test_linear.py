@@ -48,7 +48,7 @@ def test_roots_and_whitened_residuals_are_numpys(n):
     def both(a, root, residual):
         rooted = (linear.cholesky, linear._cholesky, jnp.linalg.cholesky)
         white = (
-            lambda r, x: linear.whitened(r, x)[0],
+            lambda r, x: linear.whiten(r, x)[0],
             linear._forward,
             linear._library_forward,
         )

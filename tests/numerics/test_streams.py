@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from irisjax.numerics.streams import checked_key, fold_in_words, scales, uniform
+from irisjax.numerics.streams import check_key, fold_in_words, scales, uniform
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2**31 - 1, 123456789])
@@ -48,4 +48,4 @@ def test_uniform_is_never_an_end():
 )
 def test_wrong_keys_are_named(key, message):
     with pytest.raises(ValueError, match=message):
-        checked_key(key)
+        check_key(key)

@@ -11,7 +11,7 @@ import irisjax as ij
 from common import operations, quick_jit
 from irisjax.anatomy.sclera import sclera_centre
 from irisjax.grow.lids import lids
-from irisjax.numerics.strokes import sections, stamped
+from irisjax.numerics.strokes import stamp_strokes, stroke_sections
 from irisjax.render.lids import let_in, meet_lids, skin_reflectance
 from irisjax.render.lights import Lights
 from irisjax.render.picture import surroundings, texture
@@ -137,7 +137,7 @@ def test_strokes_have_the_area_of_their_outline():
         x = 12 + length * np.cos(angle) * np.linspace(0, 1, 5)
         y = 12 + length * np.sin(angle) * np.linspace(0, 1, 5)
         stroke = jnp.asarray(np.stack([x, y, np.full(5, radius)], -1))[None]
-        area = float(stamped(stroke, (80, 80), *sections(15.0, 2.6)).sum())
+        area = float(stamp_strokes(stroke, (80, 80), *stroke_sections(15.0, 2.6)).sum())
         assert area == pytest.approx(2 * radius * length, rel=0.04)
 
 

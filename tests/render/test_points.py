@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.optics.conicoid import joined
+from irisjax.optics.conicoid import from_parts
 from irisjax.render.camera import Camera
 from irisjax.render.points import project_points
 from irisjax.render.project import project
@@ -32,12 +32,12 @@ def test_pixels_return(polar, distance):
     view = there(eye, camera)
     seen = np.asarray(view.iris.share) > 1e-3
     assert seen.sum() > 15
-    found = back(eye, camera, joined(view.iris.point))
+    found = back(eye, camera, from_parts(view.iris.point))
     assert np.asarray(found.visible)[seen].all()
     np.testing.assert_allclose(np.asarray(found.column)[seen], COLUMN[seen], atol=1e-6)
     np.testing.assert_allclose(np.asarray(found.row)[seen], ROW[seen], atol=1e-6)
     white = np.asarray(view.sclera.share) == 1
-    found = on_globe(eye, camera, joined(view.sclera.point))
+    found = on_globe(eye, camera, from_parts(view.sclera.point))
     assert np.asarray(found.visible)[white].all() and white.sum() > 20
     np.testing.assert_allclose(np.asarray(found.column)[white], COLUMN[white], atol=1e-6)
     np.testing.assert_allclose(np.asarray(found.row)[white], ROW[white], atol=1e-6)
@@ -49,7 +49,7 @@ def test_without_a_cornea_and_in_a_part_of_the_picture():
     camera = Camera(0.5, 2.0, 90.0, 16.0, SIZE).taking(3, 6)
     view = there(eye, camera)
     seen = np.asarray(view.iris.share) > 0
-    found = back(eye, camera, joined(view.iris.point))
+    found = back(eye, camera, from_parts(view.iris.point))
     assert np.asarray(found.visible)[seen].all()
     np.testing.assert_allclose(np.asarray(found.row)[seen], ROW[: 6 * 16][seen], atol=1e-9)
     np.testing.assert_allclose(np.asarray(found.column)[seen], COLUMN[: 6 * 16][seen], atol=1e-9)

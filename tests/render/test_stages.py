@@ -11,7 +11,7 @@ import pytest
 from common import operations
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.sclera import VeinMap
-from irisjax.numerics.chunks import in_chunks, pixelwise
+from irisjax.numerics.chunks import map_chunks, pixelwise
 from irisjax.render import outside, shading
 from irisjax.render.bands import colour_bands
 from irisjax.render.environment import Environment
@@ -153,8 +153,8 @@ def test_chunks_change_nothing():
     def f(x):
         return jnp.stack([jnp.sin(x), jnp.cumsum(jnp.ones_like(x)) * 0 + x * x])
 
-    np.testing.assert_allclose(in_chunks(f, x), f(x), rtol=1e-14)
-    slope = jax.grad(lambda x: in_chunks(f, x).sum())(x)
+    np.testing.assert_allclose(map_chunks(f, x), f(x), rtol=1e-14)
+    slope = jax.grad(lambda x: map_chunks(f, x).sum())(x)
     np.testing.assert_allclose(slope, jnp.cos(x) + 2 * x, rtol=1e-12)
 
 

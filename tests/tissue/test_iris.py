@@ -209,21 +209,9 @@ def test_print_of_traced_and_batched():
         assert text.startswith("Iris(\n  eumelanin = ")
 
 
-def test_layers_from_coefficients():
-    iris = ij.Iris.of_level("moderate")
-    made = iris.layers(ij.extinction(GRID))
-    again = ij.Layers.from_coefficients(
-        made.abl_absorption / H_A, made.stroma_absorption / H_S, made.stroma_scattering / H_S,
-        abl_thickness=H_A, stroma_thickness=H_S, indices=iris.indices(),
-    )  # fmt: skip
-    np.testing.assert_allclose(made.extinction, again.extinction, rtol=1e-14)
-    np.testing.assert_allclose(made.albedo + made.coalbedo, 1, rtol=1e-15)
-    thick = {"abl_thickness": 1.0, "stroma_thickness": 1.0, "indices": iris.indices()}
-    scalar = ij.Layers.from_coefficients(1.0, 2.0, np.ones(3), **thick)
-    assert scalar.abl_absorption.shape == (3,)
-    for bad in (-1.0, np.nan, np.inf):
-        with pytest.raises(ValueError, match=r"mu_s_stroma times its thickness = .* is outside"):
-            ij.Layers.from_coefficients(1.0, 1.0, bad, **thick)
+def test_albedo_and_coalbedo_sum_to_one():
+    layers = ij.Iris.of_level("moderate").layers(ij.extinction(GRID))
+    np.testing.assert_allclose(layers.albedo + layers.coalbedo, 1, rtol=1e-15)
     empty = ij.Iris(stroma_thickness=0.0).layers(ij.extinction(GRID))
     np.testing.assert_array_equal(empty.albedo, 0)
     np.testing.assert_array_equal(empty.coalbedo, 1)

@@ -17,7 +17,7 @@ from irisjax._types import PRNGKey
 from irisjax.numerics.interpolation import chebyshev_nodes
 from irisjax.numerics.piecewise import piecewise
 from irisjax.numerics.precision import full_precision
-from irisjax.numerics.sharding import laid_out
+from irisjax.numerics.sharding import call_with_layout
 from irisjax.numerics.tucker import coefficients
 from irisjax.tissue.indices import Order, RefractiveIndices
 from irisjax.tissue.iris import Iris
@@ -104,7 +104,7 @@ class IlitTabulated(AbstractSolver):
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         check_rayleigh(self, layers)
         check_black(self, layers)
-        fates = laid_out(
+        fates = call_with_layout(
             IlitTabulated._responses,
             layers.extinction,
             *(self, layers.abl_absorption, layers.extinction, layers.albedo),

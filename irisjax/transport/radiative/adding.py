@@ -18,7 +18,7 @@ from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole, is_known
 from irisjax.numerics.precision import full_precision
 from irisjax.numerics.roots import share_of
-from irisjax.numerics.sharding import laid_out
+from irisjax.numerics.sharding import call_with_layout
 from irisjax.optics.mixture import PhaseMixture
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light
@@ -99,7 +99,7 @@ class AddingDoubling(AbstractSolver):
         phase = layers.phase
         if phase is None:
             phase = PhaseMixture(jnp.ones_like(layers.albedo), jnp.zeros_like(layers.albedo))
-        flux = laid_out(
+        flux = call_with_layout(
             jax.vmap(partial(_one_wavelength, doublings=doublings), (0, 0, 0, 0, 0, None, None)),
             layers.extinction,
             *(layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering, phase),

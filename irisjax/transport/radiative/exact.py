@@ -19,7 +19,7 @@ from irisjax._types import PRNGKey
 from irisjax.numerics import linear
 from irisjax.numerics.checks import check_whole, is_known
 from irisjax.numerics.precision import full_precision
-from irisjax.numerics.sharding import laid_out
+from irisjax.numerics.sharding import call_with_layout
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light
 from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer
@@ -87,7 +87,7 @@ class RadiativeExact(AbstractSolver):
             flux, polarisation = solve_polarised(layers, light, self.n_angles, how)
         else:
             lit = beams_and_exits(layers, light, 2 * self.n_angles)
-            flux = laid_out(
+            flux = call_with_layout(
                 jax.vmap(partial(_one_wavelength, how=how), (0, 0, 0, 0, 0, None, None)),
                 layers.extinction,
                 *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),

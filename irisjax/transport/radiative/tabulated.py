@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool
 from irisjax._types import PRNGKey
 from irisjax.numerics.precision import full_precision
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.numerics.sharding import laid_out
+from irisjax.numerics.sharding import call_with_layout
 from irisjax.numerics.tucker import Tucker
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.layers import Layers
@@ -66,7 +66,7 @@ class RadiativeTabulated(AbstractSolver):
         check_black(self, layers)
         # More than 16 take XLA at least four times as long.
         lit = beams_and_exits(layers, light, 16, interfaces=0)
-        flux = laid_out(
+        flux = call_with_layout(
             RadiativeTabulated._flux,
             layers.extinction,
             *(self, layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo, lit),

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from irisjax.numerics import linear
-from irisjax.numerics.sharding import laid_out
+from irisjax.numerics.sharding import call_with_layout
 from irisjax.optics.mueller import stokes
 from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light
@@ -59,7 +59,7 @@ def solve_polarised(
     lit = beams_and_exits(layers, light, 2 * n_angles, ordinates=partial(polarised, from_outside))
     wanted = light.matrices or lit.exits is not None
     one = partial(_one_wavelength, how=how, modes=modes, matrices=wanted)
-    flux, matrices = laid_out(
+    flux, matrices = call_with_layout(
         jax.vmap(one, in_axes=(0, 0, 0, 0, 0, *(None,) * 3)),
         layers.extinction,
         *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
