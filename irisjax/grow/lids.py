@@ -52,8 +52,8 @@ def _lashes(rng, lids: Lids, centre) -> np.ndarray:
     fan = outward + lean + rng.normal(0, 0.07, count)
     side = np.outer(fan, 0.5 * t * (1 + t)) + np.outer(rng.normal(0, 0.06, count), t**2)
     lift = rng.normal(1, 0.12, count)
-    # Upper ones droop forwards before they curl up: the tear film mirrors their tips at about 45°.
-    rising, falling = np.outer(lift, 0.8 * t**2.5) - 0.2 * t, 0.3 * t**2 - np.outer(lift, 0.85 * t)
+    # Upper ones reach forwards before they curl up, where the tear film mirrors their tips.
+    rising, falling = np.outer(lift, 0.8 * t**2.2) - 0.06 * t, 0.3 * t**2 - np.outer(lift, 0.85 * t)
     up = np.where(upper[:, None], rising, falling)
     out = np.where(upper[:, None], 0.95 * t - 0.15 * t**2, 0.5 * t + 0.1 * t**2)
     length = np.where(upper, 8.0, 4.0) * (1 - 0.4 * s**2 - 0.25 * s)
