@@ -39,7 +39,7 @@ def stamp_strokes(
 
 
 def stroke_sections(longest: float, widest: float) -> tuple[int, int]:
-    """Numbers `parts` and `width` for `stamped`, of strokes whose points are `longest` pixels
+    """Numbers `parts` and `width` for `stamp_strokes`, of strokes whose points are `longest` pixels
     apart at most and which are `widest` pixels wide. Few different ones: each is a program.
     """
     return 8 * -(-int(longest / _PACE + 1) // 8), 2 * int(widest / 2 + 2) + 1

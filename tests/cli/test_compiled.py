@@ -182,7 +182,7 @@ made = compiled._compiled
 compiled._compiled = lambda *given: print("traced") or made(*given)
 from irisjax.numerics import chunks
 from irisjax.render import picture  # a module that takes names of others
-print(type(picture.ranges_of).__name__, float(chunks._joined([np.ones(2), np.ones(2)], 3).sum()))
+print(type(picture.ranges_of).__name__, float(chunks._concatenate([np.ones(2), np.ones(2)], 3).sum()))
 print(float(compiled.Kept(jax.jit(jax.numpy.linalg.det), "det")(np.diag([2.0, 3.0]))))
 """
 
