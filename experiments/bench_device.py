@@ -33,6 +33,7 @@ from irisjax.infer.fit import fit
 from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.observation import with_values
 from irisjax.infer.pixels import fit_pixels, prior_starts
+from irisjax.numerics.chunks import cores
 from irisjax.transport.defaults import exact_solver, table_for
 
 GRID = ij.wavelengths(400, 720, 4)
@@ -253,7 +254,7 @@ def _cube(name, problem, key, size):
     """Pixels of a cube as `irisjax map` fits them, shared among threads of the processor."""
     values = problem.observations[0].values
     pixels = np.asarray(values * (1 + 0.02 * jax.random.normal(key, (size, values.size))))
-    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         starts = prior_starts(problem, pool.map)
         call = partial(fit_pixels, problem, pixels, starts, pool.map)
         yield from _timed(f"pixels of a cube of 31 bands, {name}", size, call)

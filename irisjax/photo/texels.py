@@ -455,7 +455,7 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
             pull = weight * rates * (steep * (lit - _DARK))
             return cost, slope, told + bright * dims[:, None] * dims, told, pull, off
 
-        def going(state):
+        def unfinished(state):
             return (state[0] < steps) & (state[1] > _SLIGHT)
 
         def step(state):
@@ -488,7 +488,7 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
         start = jnp.clip(start, low, high)
         begin = start, around(start), jnp.full_like(start[0], _DAMPING)
         begin = jnp.zeros_like(steps), jnp.asarray(jnp.inf, start.dtype), *begin
-        *_, z, (*_, told, pull, off), _ = jax.lax.while_loop(going, step, begin)
+        *_, z, (*_, told, pull, off), _ = jax.lax.while_loop(unfinished, step, begin)
         # The coarser levels, which a prior is about, move with the exposures as well.
         firm = _inverse(told + (1 / _PRIOR**2 - prior) * eye)
         moved = (firm[:, :, None] * pull[None]).sum(1)

@@ -254,7 +254,7 @@ def test_a_folder_without_permission_is_told_before_the_work(irisjax, tmp_path, 
 @pytest.mark.parametrize(
     "option", [("--size", "0x0"), ("--light", "30,0,-1"), ("--camera", "200,0")], ids=lambda x: x[0]
 )
-def test_a_picture_that_cannot_be_is_told_before_the_work(irisjax, tmp_path, monkeypatch, option):
+def test_wrong_picture_options_are_refused_before_the_work(irisjax, tmp_path, monkeypatch, option):
     monkeypatch.setattr("irisjax.cli.paint._prepared", None)
     _refused(irisjax("paint", RECIPE, *option, "-o", tmp_path / "eye"), *option)
 
