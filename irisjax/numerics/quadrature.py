@@ -168,8 +168,11 @@ def quadratic_rule(
 
 def _on_panels(starts, widths, panels, n: int):
     """Coordinates and weights of `n` nodes on their panels, and these panels' starts and widths."""
-    x, w, owner = (jnp.asarray(row)[panels - 1] for row in _panel_nodes(n, starts.size))
-    return x.astype(starts.dtype), w.astype(starts.dtype), starts[owner], widths[owner]
+    x, w, owner = _panel_nodes(n, starts.size)
+    # With its dtype named: JAX keeps a NumPy array's first precision for as long as it lives.
+    x, w = (jnp.asarray(row, starts.dtype)[panels - 1] for row in (x, w))
+    owner = jnp.asarray(owner)[panels - 1]
+    return x, w, starts[owner], widths[owner]
 
 
 def _nodes(n: int, max_panels: int) -> int:

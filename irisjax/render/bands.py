@@ -52,7 +52,7 @@ def colour_bands(
     """
     nodes, fill = (BAND_GRID, np.eye(BAND_GRID.size)) if every else _table()
     matrix = np.asarray(tristimulus_matrix(BAND_GRID, "linear sRGB", illuminant, observer)[0])
-    haze = _haze(cornea, BAND_GRID)
+    haze = _haze(cornea, jnp.asarray(BAND_GRID, jnp.result_type(float)))
     # Channel by channel and band by band, summed over the wavelengths they stand for.
     weights = (jnp.asarray(matrix[:, None] * fill, haze.dtype) * haze).sum(axis=-1)
     white = (jnp.asarray(matrix, haze.dtype) * haze).sum(axis=-1)
@@ -66,17 +66,17 @@ def spectral_bands(
     nm, times π.
     """
     x = np.asarray(wavelengths, np.float64)
-    power = jnp.asarray(illuminant_power(illuminant, x), jnp.result_type(float))
-    seen = power * _haze(cornea, x)
+    dtype = jnp.result_type(float)
+    power = jnp.asarray(illuminant_power(illuminant, x), dtype)
+    seen = power * _haze(cornea, jnp.asarray(x, dtype))
     return Bands(tuple(x.tolist()), jnp.diag(seen), seen, tuple(f"{w:g}nm" for w in x))
 
 
 @eqx.filter_jit
-def _haze(cornea: Cornea | None, wavelengths) -> Array:
+def _haze(cornea: Cornea | None, wavelengths: Array) -> Array:
     """Share that passes the haze of a cornea twice."""
-    x = jnp.asarray(wavelengths, jnp.result_type(float))
-    once = None if cornea is None else cornea.transmittance(x)
-    return jnp.ones_like(x) if once is None else once**2
+    once = None if cornea is None else cornea.transmittance(wavelengths)
+    return jnp.ones_like(wavelengths) if once is None else once**2
 
 
 @lru_cache(maxsize=1)

@@ -38,3 +38,26 @@ def test_products_keep_all_bits(name):
     products = re.findall(r"stablehlo\.dot_general.*", text)
     assert products
     assert not [p for p in products if "HIGHEST" not in p]
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_constants_follow_the_precision(name):
+    """JAX keeps a NumPy array in the precision in which it met it first, while that lives in a
+    program. What is computed in double precision afterwards must hold no single one.
+    """
+
+    def program():
+        grid, solver = np.array([450.0, 550.0]), SOLVERS[name]()
+
+        def reflectance(load):
+            iris = ij.Iris(eumelanin=load)
+            return ij.reflectance(iris, grid, solver=solver, throw=False).values.sum()
+
+        return jax.jit(reflectance).trace(jnp.ones((), jnp.result_type(float)))
+
+    with jax.enable_x64(False):
+        single = program()
+    double = program().lower().as_text()
+    assert "f32>" in single.lower().as_text()
+    assert "f64>" in double
+    assert "f32>" not in double
