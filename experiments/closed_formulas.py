@@ -15,7 +15,7 @@ from irisjax.tissue.layers import Layers
 from irisjax.transport.light import Light
 from irisjax.transport.process import ILIT_2006, Ilit
 from irisjax.transport.solution import Flux, Solution, outcome
-from irisjax.transport.solver import AbstractSolver, check_rayleigh
+from irisjax.transport.solver import AbstractSolver, check_layers
 
 
 class AbstractAnalytic(AbstractSolver):
@@ -29,7 +29,7 @@ class AbstractAnalytic(AbstractSolver):
 
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         """See `AbstractSolver.solve`; light is taken to fall along the normal."""
-        check_rayleigh(self, layers)
+        check_layers(self, layers)
         if light.exits is not None:
             raise ValueError("closed formulas give no BRDF")
         mirror, passed = fresnel_at(jnp.ones(()), layers.indices.aqueous, layers.indices.abl)

@@ -30,7 +30,7 @@ from irisjax.transport.process import (
 )
 from irisjax.transport.radiative.analog import radiative_event
 from irisjax.transport.solution import Absorbed, Solution, outcome
-from irisjax.transport.solver import AbstractSolver, check_rayleigh
+from irisjax.transport.solver import AbstractSolver, check_layers
 
 _LIMIT = 2**31 - 2**20  # counts are int32; lanes look a stride ahead
 
@@ -97,7 +97,7 @@ class MonteCarlo(AbstractSolver):
         """
         check_key(key)
         if isinstance(self.process, Ilit):
-            check_rayleigh(self, layers)
+            check_layers(self, layers)
         elif light.exits is not None:
             raise ValueError("MonteCarlo has no BRDF of radiative transfer; use RadiativeExact")
         layers, light = _constant((layers, light))

@@ -58,23 +58,17 @@ def check_process(solver: AbstractSolver, kind: type[AbstractProcess]) -> None:
         )
 
 
-def check_black(solver: AbstractSolver, layers: Layers) -> None:
-    """Raise `ValueError` if the pigment epithelium lets light through, which some solvers do not
-    treat.
-    """
-    if layers.ipe_absorption is not None:
-        raise ValueError(
-            f"{type(solver).__name__} has a black pigment epithelium; one with ipe_melanin takes "
-            "IlitExact, RadiativeExact, AddingDoubling or MonteCarlo"
-        )
-
-
-def check_rayleigh(solver: AbstractSolver, layers: Layers) -> None:
-    """Raise `ValueError` if the layers scatter otherwise than by Rayleigh's law, the only one that
-    most solvers treat.
+def check_layers(solver: AbstractSolver, layers: Layers, *, black: bool = False) -> None:
+    """Raise `ValueError` unless the stroma scatters by Rayleigh's law and, for solvers that assume
+    a `black` pigment epithelium, no light passes that.
     """
     if layers.phase is not None:
         raise ValueError(
             "a power law of scattering takes radiative transfer (depth-resolved) by AddingDoubling "
             f"or MonteCarlo, not {solver.process.transport} transport by {type(solver).__name__}"
+        )
+    if black and layers.ipe_absorption is not None:
+        raise ValueError(
+            f"{type(solver).__name__} has a black pigment epithelium; one with ipe_melanin takes "
+            "IlitExact, RadiativeExact, AddingDoubling or MonteCarlo"
         )

@@ -25,7 +25,7 @@ from irisjax.transport.ilit.layers import (
 from irisjax.transport.light import Light, first_surface
 from irisjax.transport.process import ILIT_2006, Ilit, attenuation, reflections, survival
 from irisjax.transport.solution import RESULTS, Flux, Solution, outcome
-from irisjax.transport.solver import AbstractSolver, check_process, check_rayleigh
+from irisjax.transport.solver import AbstractSolver, check_layers, check_process
 
 
 class IlitExact(AbstractSolver):
@@ -45,7 +45,7 @@ class IlitExact(AbstractSolver):
 
     @full_precision
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
-        check_rayleigh(self, layers)
+        check_layers(self, layers)
         from_above, from_below = abl_responses(
             layers.abl_absorption, layers.indices, layers.order, self.process, self.n_angles
         )

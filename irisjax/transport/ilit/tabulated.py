@@ -27,7 +27,7 @@ from irisjax.transport.ilit.layers import LayerFates, abl_responses, stroma_resp
 from irisjax.transport.light import Light
 from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit
 from irisjax.transport.solution import RESULTS, Solution
-from irisjax.transport.solver import AbstractSolver, check_black, check_rayleigh
+from irisjax.transport.solver import AbstractSolver, check_layers
 
 _DEGREE = 5
 _SMALLEST = 1e-7  # τ₀: below it the functions, which go as τ ln τ, are straight lines to 2e-12
@@ -102,8 +102,7 @@ class IlitTabulated(AbstractSolver):
 
     @full_precision
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
-        check_rayleigh(self, layers)
-        check_black(self, layers)
+        check_layers(self, layers, black=True)
         fates = call_with_layout(
             IlitTabulated._responses,
             layers.extinction,

@@ -41,7 +41,7 @@ from irisjax.transport.radiative.orders import conserving_order, unscattered_bea
 from irisjax.transport.radiative.polarised.exact import solve_polarised
 from irisjax.transport.radiative.slab import Slab
 from irisjax.transport.solution import Flux, Solution
-from irisjax.transport.solver import AbstractSolver, check_process, check_rayleigh
+from irisjax.transport.solver import AbstractSolver, check_layers, check_process
 
 
 class RadiativeExact(AbstractSolver):
@@ -81,7 +81,7 @@ class RadiativeExact(AbstractSolver):
 
     @full_precision
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
-        check_rayleigh(self, layers)
+        check_layers(self, layers)
         how, polarisation = (self.n_depths, self.n_panels or 1), None
         if self.process.polarised:
             flux, polarisation = solve_polarised(layers, light, self.n_angles, how)

@@ -30,7 +30,7 @@ from irisjax.transport.process import DEPTH_RESOLVED, RadiativeTransfer
 from irisjax.transport.radiative import orders
 from irisjax.transport.radiative.directions import BeamsAndExits, beams_and_exits
 from irisjax.transport.solution import RESULTS, Flux, Solution, outcome
-from irisjax.transport.solver import AbstractSolver, check_black, check_rayleigh
+from irisjax.transport.solver import AbstractSolver, check_layers
 
 DEEPEST_ABL, DEEPEST = 20.0, 25.0
 """Optical depths of ABL and stroma to which the table reaches."""
@@ -62,8 +62,7 @@ class RadiativeTabulated(AbstractSolver):
 
     @full_precision
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
-        check_rayleigh(self, layers)
-        check_black(self, layers)
+        check_layers(self, layers, black=True)
         # More than 16 take XLA at least four times as long.
         lit = beams_and_exits(layers, light, 16, interfaces=0)
         flux = call_with_layout(
