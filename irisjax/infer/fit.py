@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool, Float, Int
 from scipy.special import chdtri
 
 from irisjax._types import PRNGKey
-from irisjax.infer.least_squares import Found, least_squares, levenberg_marquardt
+from irisjax.infer.least_squares import Minimum, least_squares, levenberg_marquardt
 from irisjax.infer.problem import Problem
 from irisjax.numerics.checks import check_whole
 from irisjax.transport.solution import RESULTS, raise_failure
@@ -135,8 +135,8 @@ def fit(
     elif key is None:
         to_do = "give key=jax.random.key(...), or starts=1"
         raise ValueError(f"starts={starts} draws all but the first at random: {to_do}")
-    found = _fit(problem.unnamed(), solver, start, key, use_priors, starts, rounds, max_steps)
-    return raise_failure(found, found.status) if throw else found
+    solution = _fit(problem.unnamed(), solver, start, key, use_priors, starts, rounds, max_steps)
+    return raise_failure(solution, solution.status) if throw else solution
 
 
 def abl_melanin(
@@ -151,8 +151,8 @@ def abl_melanin(
         return None
     places = [names.index(n) for n in ("melanin_load", "abl_fraction")]
     load, fraction = np.moveaxis(values[..., places], -1, 0)
-    slopes, part = np.stack([fraction, load], -1), covariance[..., places, :][..., places]
-    return load * fraction, np.sqrt(np.einsum("...i,...ij,...j", slopes, part, slopes))
+    slopes, block = np.stack([fraction, load], -1), covariance[..., places, :][..., places]
+    return load * fraction, np.sqrt(np.einsum("...i,...ij,...j", slopes, block, slopes))
 
 
 def words_for(status: FitStatus) -> str:
@@ -166,35 +166,35 @@ def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> 
     dtype, free = jnp.result_type(float), len(problem.free)
     moving = np.asarray(problem.moving, int)
 
-    def placed(x):
+    def expand(x):
         """All of z from its fitted part; the rest at the priors' medians."""
         return jnp.zeros(free, dtype).at[moving].set(x)
 
     def residuals(x, weight, problem):
-        data, predicted, solved = problem.evaluated(placed(x))
+        data, predicted, solved = problem.evaluated(expand(x))
         return jnp.concatenate([data, weight * x]), (data, predicted, solved)
 
     weights = jnp.asarray([1.0 if use_priors else 0.0], dtype)
     if not use_priors:
         signal = [problem.noise.whiten(o, jnp.zeros_like(o.values)) for o in problem.observations]
         weights = jnp.append(0.1 * jnp.sqrt(jnp.mean(jnp.concatenate(signal) ** 2)), weights)
-    first = jnp.zeros(free, dtype) if start is None else jnp.asarray(start, dtype)
+    initial = jnp.zeros(free, dtype) if start is None else jnp.asarray(start, dtype)
     best = least_squares(
-        residuals, problem, first[moving], weights=weights, solver=solver,
+        residuals, problem, initial[moving], weights=weights, solver=solver,
         starts=starts, rounds=rounds, max_steps=max_steps, key=key,
     )  # fmt: skip
     data, predicted, solved = best.aux
     covariance = jnp.zeros((free, free), dtype).at[np.ix_(moving, moving)].set(best.covariance)
     jacobian = jnp.zeros((data.size, free), dtype).at[:, moving].set(best.jacobian[: data.size])
-    z = placed(best.x)
+    z = expand(best.x)
     slope = problem.slopes(z)
     sd = jnp.abs(slope) * jnp.sqrt(jnp.diag(covariance))
     chi_square = (data**2).sum()
     degrees = data.size - (0 if use_priors else moving.size)
     # Chi-square means nothing for Student's t, which has outliers.
-    judged = degrees > 0 and problem.noise.degrees_of_freedom is None
-    limit = float(chdtri(degrees, MISFIT)) if judged else np.inf
-    values, sds = (dict(zip(problem.free, each, strict=True)) for each in (problem.natural(z), sd))
+    testable = degrees > 0 and problem.noise.degrees_of_freedom is None
+    limit = float(chdtri(degrees, MISFIT)) if testable else np.inf
+    values, sds = (dict(zip(problem.free, v, strict=True)) for v in (problem.natural(z), sd))
     status = _status(best, chi_square, limit, solved == RESULTS.successful)
     return Fit(
         z, jacobian / slope, covariance, values, sds, predicted, chi_square, degrees, best.cost,
@@ -202,13 +202,13 @@ def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> 
     )  # fmt: skip
 
 
-def _status(best: Found, chi_square, limit: float, solved) -> FitStatus:
+def _status(best: Minimum, chi_square, limit: float, solved) -> FitStatus:
     """The worst that holds."""
     status = FitStatus.where(chi_square > limit, FitStatus.misfit, FitStatus.successful)
-    lone = (best.agreeing < 2) & (best.elsewhere > 0)
-    status = FitStatus.where(lone, FitStatus.disagreement, status)
+    isolated = (best.agreeing < 2) & (best.elsewhere > 0)
+    status = FitStatus.where(isolated, FitStatus.disagreement, status)
     exhausted = best.result == optx.RESULTS.nonlinear_max_steps_reached
     status = FitStatus.where(exhausted, FitStatus.not_converged, status)
-    ended = exhausted | (best.result == optx.RESULTS.successful)
-    answered = ended & jnp.isfinite(best.cost) & solved
-    return FitStatus.where(answered, status, FitStatus.solver_failed)
+    finished = exhausted | (best.result == optx.RESULTS.successful)
+    valid = finished & jnp.isfinite(best.cost) & solved
+    return FitStatus.where(valid, status, FitStatus.solver_failed)

@@ -19,7 +19,7 @@ from irisjax.numerics import linear
 _Count = Int[Array, ""]
 
 
-class Found(NamedTuple):
+class Minimum(NamedTuple):
     """The best of several searches.
 
     Attributes:
@@ -58,7 +58,7 @@ def least_squares(
     rounds: int = 1,
     max_steps: int = 200,
     key: PRNGKey | None = None,
-) -> Found:
+) -> Minimum:
     """Find the lowest ½ Σ residuals² of `starts` searches, one after another, and of as many again,
     up to `rounds` times, while fewer than two agree. Call it inside a jitted function.
 
@@ -87,55 +87,30 @@ def least_squares(
     weights = jnp.ones(1, start.dtype) if weights is None else weights
     args = nondifferentiable(args, name="the data of least squares")
 
-    @eqx.filter_jit  # traced once, however often optimistix evaluates it
-    def evaluated(x, given):
-        def twice(x):
-            values, aux = residuals(x, *given)
-            return values, (values, aux)
-
-        # The Jacobian is computed here, and the solver gets it as the function's derivative: its
-        # program then holds the model once.
-        here = jax.lax.stop_gradient(x)
-        jacobian, (values, aux) = jax.jacfwd(twice, has_aux=True)(here)
-        return values + jacobian @ (x - here), (here, 0.5 * (values**2).sum(), jacobian, aux)
-
-    def at_weight(x, weight):
-        ended = optx.least_squares(
-            evaluated, solver, x, (weight, args), has_aux=True, max_steps=max_steps, throw=False
-        )
-        return ended.value, (ended.aux, ended.stats["num_steps"], ended.result)
-
-    def search(x):
-        _, (ends, steps, results) = jax.lax.scan(at_weight, x, weights)
-        (x, cost, jacobian, aux), result = jax.tree.map(lambda stages: stages[-1], (ends, results))
-        cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
-        return x, cost, jacobian, aux, steps.sum(), result
-
-    begins = start[None]
+    search = partial(_search, _with_jacobian(residuals), args, solver, weights, max_steps)
+    points = start[None]
     if key is not None:
         keys = jax.vmap(partial(jax.random.fold_in, key))(jnp.arange(rounds))
         draws = jax.vmap(lambda k: jax.random.normal(k, (starts, start.size), start.dtype))(keys)
-        begins = draws.reshape(-1, start.size).at[0].set(start)
+        points = draws.reshape(-1, start.size).at[0].set(start)
 
-    def another(state):
-        done, searches = state
-        new = search(begins[done])
-        return done + 1, jax.tree.map(lambda all_, x: all_.at[done].set(x), searches, new)
+    def search_next(state):
+        count, searches = state
+        result = search(points[count])
+        return count + 1, jax.tree.map(lambda rows, x: rows.at[count].set(x), searches, result)
 
-    def wanted(state):
-        done, searches = state
-        agree = _best(searches, done)[1] >= 2
-        return (done == 0) | (done % starts > 0) | ((done < rounds * starts) & ~agree)
+    def incomplete(state):
+        count, searches = state
+        agree = _best(searches, count)[1] >= 2
+        return (count == 0) | (count % starts > 0) | ((count < rounds * starts) & ~agree)
 
     # A loop that is mapped runs as many rounds for every problem as the slowest one needs.
-    none = jax.tree.map(
-        lambda s: jnp.zeros((rounds * starts, *s.shape), s.dtype),
-        eqx.filter_eval_shape(search, start),
-    )
-    done, searches = jax.lax.while_loop(wanted, another, (jnp.zeros((), int), none))
-    best, agreeing, elsewhere = _best(searches, done)
-    x, cost, jacobian, aux, steps, result = jax.tree.map(lambda each: each[best], searches)
-    return Found(x, cost, jacobian, aux, steps, result, done, agreeing, elsewhere)
+    shapes = eqx.filter_eval_shape(search, start)
+    empty = jax.tree.map(lambda s: jnp.zeros((rounds * starts, *s.shape), s.dtype), shapes)
+    count, searches = jax.lax.while_loop(incomplete, search_next, (jnp.zeros((), int), empty))
+    best, agreeing, elsewhere = _best(searches, count)
+    x, cost, jacobian, aux, steps, result = jax.tree.map(lambda rows: rows[best], searches)
+    return Minimum(x, cost, jacobian, aux, steps, result, count, agreeing, elsewhere)
 
 
 def levenberg_marquardt(
@@ -183,12 +158,45 @@ NORMAL_EQUATIONS: lx.AbstractLinearSolver[Any] = _NormalEquations()
 """Linear least squares by the normal equations, for batches."""
 
 
-def _best(searches: Any, done: _Count) -> tuple[_Count, _Count, _Count]:
+def _with_jacobian(residuals: Callable[[Any, Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    """The residuals with their Jacobian as the derivative that the solver takes: its program then
+    holds the model once.
+    """
+
+    @eqx.filter_jit  # traced once, however often optimistix evaluates it
+    def linearised(x, args):
+        def twice(x):
+            values, aux = residuals(x, *args)
+            return values, (values, aux)
+
+        point = jax.lax.stop_gradient(x)
+        jacobian, (values, aux) = jax.jacfwd(twice, has_aux=True)(point)
+        return values + jacobian @ (x - point), (point, 0.5 * (values**2).sum(), jacobian, aux)
+
+    return linearised
+
+
+def _search(function, args, solver, weights, max_steps, x):
+    """Where one search ends, with the priors at one weight after another."""
+
+    def at_weight(x, weight):
+        end = optx.least_squares(
+            function, solver, x, (weight, args), has_aux=True, max_steps=max_steps, throw=False
+        )
+        return end.value, (end.aux, end.stats["num_steps"], end.result)
+
+    _, (ends, steps, results) = jax.lax.scan(at_weight, x, weights)
+    (x, cost, jacobian, aux), result = jax.tree.map(lambda stages: stages[-1], (ends, results))
+    cost = jnp.where(jnp.isfinite(cost), cost, jnp.inf)
+    return x, cost, jacobian, aux, steps.sum(), result
+
+
+def _best(searches: Any, count: _Count) -> tuple[_Count, _Count, _Count]:
     """Place of the lowest cost, how many searches converged there, and how many elsewhere."""
     _, costs, *_, results = searches
-    begun = jnp.arange(costs.size) < done
-    costs = jnp.where(begun, costs, jnp.inf)
-    converged = begun & (results == optx.RESULTS.successful)
+    valid = jnp.arange(costs.size) < count
+    costs = jnp.where(valid, costs, jnp.inf)
+    converged = valid & (results == optx.RESULTS.successful)
     # Among equal costs one that converged.
     best = jnp.argmin(costs + jnp.where(converged, 0.0, 1e-9 * costs + 1e-12))
     level = costs <= costs[best] * (1 + 1e-6) + 1e-9

@@ -228,7 +228,9 @@ def test_several_searches_need_a_key():
 def ended(result=optx.RESULTS.successful, **numbers):
     numbers = {"cost": 0.0, "steps": 5, "searches": 4, "agreeing": 4, "elsewhere": 0} | numbers
     numbers = {name: jnp.asarray(n) for name, n in numbers.items()}
-    return search.Found(jnp.zeros(1), jacobian=jnp.ones((1, 1)), aux=None, result=result, **numbers)
+    return search.Minimum(
+        jnp.zeros(1), jacobian=jnp.ones((1, 1)), aux=None, result=result, **numbers
+    )
 
 
 LONE = {"agreeing": 1, "elsewhere": 3}
