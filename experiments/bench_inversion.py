@@ -142,7 +142,7 @@ def _moves(problem, best, steps):
         "stretch (emcee's default)": [(emcee.moves.StretchMove(), 1.0)],
         "differences + snooker": mixture(None),
         "kernel density of the other half": [(emcee.moves.KDEMove(), 1.0)],
-        "independent t": [(independent_move(straight.level(), taught), 1.0)],
+        "independent t": [(independent_move(straight.linear(), taught), 1.0)],
         "independent t, straightened": [(independent_move(straight, taught), 1.0)],
         "independent t 0.8 + differences, straightened (used)": mixture(taught),
     }.items():

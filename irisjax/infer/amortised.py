@@ -27,7 +27,7 @@ from scipy import stats
 from scipy.stats import qmc
 
 from irisjax._types import PRNGKey
-from irisjax.infer.importance import Start, resampled
+from irisjax.infer.importance import Start, resample
 from irisjax.infer.observation import with_values
 from irisjax.infer.pixels import Each, fit_pixels, prior_starts
 from irisjax.infer.posterior import sample
@@ -94,7 +94,7 @@ class Weighted(NamedTuple):
     def equal(self, i: int, count: int, *, key: PRNGKey) -> Float[np.ndarray, "count free"]:
         """Return draws of equal weight of one spectrum, by systematic resampling."""
         random = np.random.default_rng([*words_of(key), i])
-        return self.z[i][resampled(self.weights[i], count, random)]
+        return self.z[i][resample(self.weights[i], count, random)]
 
 
 def train_flow(
@@ -120,18 +120,18 @@ def train_flow(
     problem = _blank(problem)
     starts = prior_starts(problem, each)
     random = np.random.default_rng([*words_of(key), 1])
-    count, made = -(-simulated // len(_LEVELS)), []
+    count, batches = -(-simulated // len(_LEVELS)), []
     for i, level in enumerate(_LEVELS):
-        mine = eqx.tree_at(lambda p: (p.noise.relative, p.noise.absolute), problem, (
+        variant = eqx.tree_at(lambda p: (p.noise.relative, p.noise.absolute), problem, (
             problem.noise.relative * level, problem.noise.absolute * level,
         ))  # fmt: skip
         z = random.standard_normal((count, len(problem.free)))
-        (values,), *_ = predicted(mine, z, jax.random.fold_in(key, i))
-        fits = fit_pixels(mine, values, starts, each)
+        (values,), *_ = predicted(variant, z, jax.random.fold_in(key, i))
+        fits = fit_pixels(variant, values, starts, each)
         rows = values, None, fits.z, fits.z_covariance
-        frames = map_rows(functools.partial(_framed, mine), rows, _ROWS, each)
-        made.append((frames, z))
-    frames, z = jax.tree.map(lambda *x: np.concatenate(x), *made)
+        frames = map_rows(functools.partial(_frames, variant), rows, _ROWS, each)
+        batches.append((frames, z))
+    frames, z = jax.tree.map(lambda *x: np.concatenate(x), *batches)
     u = np.linalg.solve(frames.root, (z - frames.centre)[..., None])[..., 0]
     centre, scale = frames.condition.mean(axis=0), frames.condition.std(axis=0)
     scale = np.where(scale > 1e-6, scale, 1)
@@ -139,7 +139,7 @@ def train_flow(
     steps = epochs * int(0.95 * len(z) / _BATCH)
     rate = optax.warmup_cosine_decay_schedule(0.0, _FASTEST, min(100, steps // 10), steps)
     flow, _ = flowjax.train.fit_to_data(
-        key, _untrained(z.shape[1], centre.size), (np.arcsinh(u), condition),
+        key, _new_flow(z.shape[1], centre.size), (np.arcsinh(u), condition),
         optimizer=optax.chain(optax.clip_by_global_norm(5.0), optax.adam(rate)),
         max_epochs=epochs, max_patience=epochs, batch_size=_BATCH, val_prop=0.05,
         show_progress=False,
@@ -177,7 +177,7 @@ def weighted_draws(
     points = qmc.Sobol(len(problem.free), rng=seed).random(draws)
     base = jnp.asarray(stats.t(_DEGREES).ppf(points), jnp.result_type(float))
     nameless = problem.unnamed()
-    run = functools.partial(_weighted, flow, nameless, base)
+    run = functools.partial(_weighted_rows, flow, nameless, base)
     return Weighted(*map_rows(run, (values, sd, z, covariance), _ROWS, each))
 
 
@@ -197,22 +197,22 @@ def with_chains(
         The draws, and whether each spectrum's can be trusted.
     """
     draws, weights = weighted.z.copy(), weighted.weights.copy()
-    good = weighted.efficiency >= EFFICIENT
-    for i in np.flatnonzero(~good & ~weighted.unusual):
-        mine = problem.with_observations(
+    valid = weighted.efficiency >= EFFICIENT
+    for i in np.flatnonzero(~valid & ~weighted.unusual):
+        target = problem.with_observations(
             with_values(problem.observations[0], jnp.asarray(values[i]))
         )
-        chains = sample(mine, Start(z[i], covariance[i]), key=key)
-        at = np.linspace(0, len(chains.flat) - 1, weights.shape[1]).astype(int)
-        draws[i], weights[i], good[i] = chains.flat[at], 1 / len(at), chains.converged
-    return weighted._replace(z=draws, weights=weights), good
+        chains = sample(target, Start(z[i], covariance[i]), key=key)
+        index = np.linspace(0, len(chains.flat) - 1, weights.shape[1]).astype(int)
+        draws[i], weights[i], valid[i] = chains.flat[index], 1 / len(index), chains.converged
+    return weighted._replace(z=draws, weights=weights), valid
 
 
 def flow_name(problem: Problem) -> str:
     """Return a name that problems share whose flows are the same: SHA-256 of all but the data."""
     leaves, structure = jax.tree.flatten(_blank(problem))
-    words = [(str(x.dtype), x.shape, x.tobytes()) for x in map(np.asarray, leaves)]
-    return hashlib.sha256(repr((str(structure), words)).encode()).hexdigest()[:16]
+    contents = [(str(x.dtype), x.shape, x.tobytes()) for x in map(np.asarray, leaves)]
+    return hashlib.sha256(repr((str(structure), contents)).encode()).hexdigest()[:16]
 
 
 def save_flow(path: Path, flow: PosteriorFlow) -> None:
@@ -226,9 +226,7 @@ def read_flow(path: Path, problem: Problem) -> PosteriorFlow:
     conditions = 2 * free + free * (free - 1) // 2 + 1
     blank = jnp.zeros(conditions), jnp.ones(conditions), jnp.zeros(4)
     try:
-        return eqx.tree_deserialise_leaves(
-            path, PosteriorFlow(_untrained(free, conditions), *blank)
-        )
+        return eqx.tree_deserialise_leaves(path, PosteriorFlow(_new_flow(free, conditions), *blank))
     except (RuntimeError, ValueError, EOFError) as error:
         raise ValueError(f"{path}: is no flow for these parameters; remove it") from error
 
@@ -250,7 +248,7 @@ def _blank(problem: Problem) -> Problem:
 
 
 @functools.lru_cache(maxsize=8)
-def _untrained(free: int, conditions: int) -> "Transformed":
+def _new_flow(free: int, conditions: int) -> "Transformed":
     """A flow before training; one object for each shape, because JAX compiles for its functions."""
     from flowjax.bijections import RationalQuadraticSpline
     from flowjax.distributions import StudentT
@@ -267,59 +265,59 @@ def _untrained(free: int, conditions: int) -> "Transformed":
 
 
 @eqx.filter_jit
-def _framed(problem: Problem, rows: Any) -> _Frame:
+def _frames(problem: Problem, rows: Any) -> _Frame:
     return jax.lax.map(lambda row: _frame(problem, *row), rows, batch_size=_ROWS)
 
 
 def _frame(problem: Problem, values: Any, sd: Any, z: Any, covariance: Any) -> _Frame:
-    mine = problem.with_observations(with_values(problem.observations[0], values, sd))
-    residuals, moving, free = mine.evaluated(z)[0], np.asarray(problem.moving), len(problem.free)
-    square, oddest = (residuals**2).sum(), jnp.abs(residuals).max()
-    mean = square / residuals.size
-    alike = (residuals[1:] * residuals[:-1]).sum() / square
-    oddness = jnp.stack([mean, oddest / jnp.sqrt(mean), alike, (z * z).sum()])
+    target = problem.with_observations(with_values(problem.observations[0], values, sd))
+    residuals, moving, free = target.evaluated(z)[0], np.asarray(problem.moving), len(problem.free)
+    chi_square, largest = (residuals**2).sum(), jnp.abs(residuals).max()
+    mean = chi_square / residuals.size
+    correlation = (residuals[1:] * residuals[:-1]).sum() / chi_square
+    oddness = jnp.stack([mean, largest / jnp.sqrt(mean), correlation, (z * z).sum()])
     c, spread, centre = covariance[np.ix_(moving, moving)], jnp.eye(free, dtype=z.dtype), z
     if "noise" in problem.free:
         # The fit took the noise as stated: its factor has this mean and variance given χ², and
         # what the data say of the others counts by the factor's inverse square.
         i = problem.free.index("noise")
-        line = jnp.linspace(-5, 5, 201, dtype=z.dtype)
-        factor = problem.priors[i].value(line)
-        logs = -residuals.size * jnp.log(factor) - square / (2 * factor**2) - line**2 / 2
+        nodes = jnp.linspace(-5, 5, 201, dtype=z.dtype)
+        factor = problem.priors[i].value(nodes)
+        logs = -residuals.size * jnp.log(factor) - chi_square / (2 * factor**2) - nodes**2 / 2
         weights = jax.nn.softmax(logs)
-        at = weights @ line
-        share, identity = problem.priors[i].value(at) ** -2, jnp.eye(moving.size, dtype=z.dtype)
+        mu = weights @ nodes
+        share, identity = problem.priors[i].value(mu) ** -2, jnp.eye(moving.size, dtype=z.dtype)
         c = linear.solve((linear.solve(c, identity) - identity) * share + identity, identity)
         step = -(c @ z[moving]) * (1 - share)
         step = step * jnp.minimum(1, _LONGEST / jnp.maximum(jnp.abs(step).max(), 1e-30))
-        centre = z.at[moving].add(step).at[i].set(at)
-        spread = spread.at[i, i].set(weights @ (line - at) ** 2 + (line[1] - line[0]) ** 2)
+        centre = z.at[moving].add(step).at[i].set(mu)
+        spread = spread.at[i, i].set(weights @ (nodes - mu) ** 2 + (nodes[1] - nodes[0]) ** 2)
     root = linear.cholesky(spread.at[np.ix_(moving, moving)].set((c + c.T) / 2))
-    below = np.tril_indices(free, -1)
-    slant = (root / jnp.sqrt((root**2).sum(axis=1, keepdims=True)))[below]
+    lower_rows = np.tril_indices(free, -1)
+    directions = (root / jnp.sqrt((root**2).sum(axis=1, keepdims=True)))[lower_rows]
     lengths = jnp.log(jnp.diag(root))
-    condition = jnp.concatenate([centre, lengths, slant, jnp.log(mean + 1e-12)[None]])
+    condition = jnp.concatenate([centre, lengths, directions, jnp.log(mean + 1e-12)[None]])
     return _Frame(centre, root, condition, oddness)
 
 
 @eqx.filter_jit
-def _weighted(flow: PosteriorFlow, problem: Problem, base: Any, rows: Any) -> Any:
+def _weighted_rows(flow: PosteriorFlow, problem: Problem, base: Any, rows: Any) -> Any:
     from paramax import unwrap
 
-    known = unwrap(flow.flow)
+    distribution = unwrap(flow.flow)
 
-    def one(row):
+    def draws_of(row):
         values, sd, *_ = row
         frame = _frame(problem, *row)
         condition = (frame.condition - flow.centre) / flow.scale
         condition = jnp.clip(condition, -_FARTHEST, _FARTHEST)
-        mine = problem.with_observations(with_values(problem.observations[0], values, sd))
+        target = problem.with_observations(with_values(problem.observations[0], values, sd))
 
         def draw(x):
-            v, slope = known.bijection.transform_and_log_det(x, condition)
+            v, slope = distribution.bijection.transform_and_log_det(x, condition)
             z = frame.centre + frame.root @ jnp.sinh(v)
-            proposed = known.base_dist.log_prob(x) - slope - jnp.log(jnp.cosh(v)).sum()
-            return z, mine.log_posterior(z) - proposed
+            proposed = distribution.base_dist.log_prob(x) - slope - jnp.log(jnp.cosh(v)).sum()
+            return z, target.log_posterior(z) - proposed
 
         z, logs = jax.lax.map(draw, base, batch_size=_DRAWS)
         logs = jnp.where(jnp.isfinite(logs), logs, -jnp.inf)
@@ -327,4 +325,4 @@ def _weighted(flow: PosteriorFlow, problem: Problem, base: Any, rows: Any) -> An
         weights = jnp.where(jnp.isfinite(logs).any(), jax.nn.softmax(logs), 0.0)
         return z, weights, frame.oddness, (frame.oddness > flow.limits).any()
 
-    return jax.lax.map(one, rows)
+    return jax.lax.map(draws_of, rows)

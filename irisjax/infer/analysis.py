@@ -123,21 +123,21 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
     """Return a row for every free and derived parameter."""
     # The prior of derived parameters: an integral over even points, nothing random.
     even = qmc.Sobol(len(problem.free), scramble=False).random_base2(14)
-    before, rows = reported(problem, ndtri(even + 2.0**-15)), []
+    prior, rows = reported(problem, ndtri(even + 2.0**-15)), []
     # A chain that is too short to be judged has no R-hat.
-    judged = np.isfinite(chains.rhat).all()
+    has_rhat = np.isfinite(chains.rhat).all()
     for name, values in reported(problem, chains.z).items():
         if name in problem.free:
             i = problem.free.index(name)
             rhat, bulk, tail = chains.rhat[i], chains.ess_bulk[i], chains.ess_tail[i]
-            left = chains.z[..., i].var()
+            variance = chains.z[..., i].var()
         else:
-            rhat, bulk, tail = mixing(values.T) if judged else (np.nan,) * 3
+            rhat, bulk, tail = mixing(values.T) if has_rhat else (np.nan,) * 3
             # The logarithm of a derived parameter has a nearly normal prior.
-            left = np.log(values).var() / np.log(before[name]).var()
-        low, less, median, more, high = np.percentile(values, (2.5, 16, 50, 84, 97.5))
-        spread = median, values.std(), low, less, more, high
-        numbers = *spread, rhat, bulk, tail, float(1 - left)
+            variance = np.log(values).var() / np.log(prior[name]).var()
+        q2_5, q16, median, q84, q97_5 = np.percentile(values, (2.5, 16, 50, 84, 97.5))
+        spread = median, values.std(), q2_5, q16, q84, q97_5
+        numbers = *spread, rhat, bulk, tail, float(1 - variance)
         rows.append(Row(name, unit_of(name), *numbers))
     return rows
 
@@ -145,19 +145,19 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
 def predictive(problem: Problem, chains: Chains, *, key: PRNGKey) -> Any:
     """Return `predicted` for `DRAWS` samples of the chains."""
     z = chains.flat
-    some = np.linspace(0, len(z) - 1, min(DRAWS, len(z))).astype(int)
-    return predicted(problem, z[some], key)
+    index = np.linspace(0, len(z) - 1, min(DRAWS, len(z))).astype(int)
+    return predicted(problem, z[index], key)
 
 
 def predictive_check(problem: Problem, chains: Chains, *, key: PRNGKey) -> PredictiveCheck:
     """Check residuals by their size and by their pattern."""
     simulated, models, sds, *_ = predictive(problem, chains, key=key)
-    found = []
+    statistics = []
     for values in (tuple(np.asarray(o.values) for o in problem.observations), simulated):
-        each = [(y - m) / sd for y, m, sd in zip(values, models, sds, strict=True)]
-        size = [(r**2).sum(axis=1) for r in each]
-        alike = [(r[:, 1:] * r[:, :-1]).sum(axis=1) for r in each]
-        found.append((sum(size), sum(a / s for a, s in zip(alike, size, strict=True))))
-    larger, smoother = (float((b >= a).mean()) for a, b in zip(*found, strict=True))
+        residuals = [(y - m) / sd for y, m, sd in zip(values, models, sds, strict=True)]
+        size = [(r**2).sum(axis=1) for r in residuals]
+        products = [(r[:, 1:] * r[:, :-1]).sum(axis=1) for r in residuals]
+        statistics.append((sum(size), sum(a / s for a, s in zip(products, size, strict=True))))
+    larger, smoother = (float((b >= a).mean()) for a, b in zip(*statistics, strict=True))
     noise = reported(problem, chains.z).get("noise")
     return PredictiveCheck(larger, smoother, 1.0 if noise is None else float(np.median(noise)))

@@ -54,9 +54,9 @@ def of_draws(problem: Problem, z: Float[np.ndarray, "draws free"]) -> Chains:
 
 def arviz_groups(problem: Problem, chains: Chains, *, key: PRNGKey) -> ArvizGroups:
     """Return a posterior in ArviZ's groups, with fewer draws where the data are many."""
-    seen, walkers = problem.observations, chains.z.shape[1]
-    most = _MOST_NUMBERS // (walkers * sum(o.values.shape[-1] for o in seen))
-    thin = -(-len(chains.z) // max(1, most))
+    data, walkers = problem.observations, chains.z.shape[1]
+    limit = _MOST_NUMBERS // (walkers * sum(o.values.shape[-1] for o in data))
+    thin = -(-len(chains.z) // max(1, limit))
     z = np.moveaxis(chains.z[::thin], 0, 1)
     flat = z.reshape(-1, z.shape[-1])
     simulated, _, _, likelihoods, priors = predicted(problem, flat, jax.random.fold_in(key, 6))
@@ -64,25 +64,25 @@ def arviz_groups(problem: Problem, chains: Chains, *, key: PRNGKey) -> ArvizGrou
     def sampled(array: np.ndarray, *axes: str) -> tuple[tuple[str, ...], np.ndarray]:
         return (*_SAMPLED, *axes), array.reshape(*z.shape[:2], *array.shape[1:])
 
-    tags = [f"_{i + 1}" if len(seen) > 1 else "" for i in range(len(seen))]
-    names = [o.quantity + tag for o, tag in zip(seen, tags, strict=True)]
+    tags = [f"_{i + 1}" if len(data) > 1 else "" for i in range(len(data))]
+    names = [o.quantity + tag for o, tag in zip(data, tags, strict=True)]
     axes = [
         ("channel" if o.is_colour else "wavelength_nm") + tag
-        for o, tag in zip(seen, tags, strict=True)
+        for o, tag in zip(data, tags, strict=True)
     ]
     random = np.random.default_rng([*words_of(key), 4])
-    before = random.standard_normal((1, 4000, len(problem.free)))
-    each = range(len(seen))
+    prior_z = random.standard_normal((1, 4000, len(problem.free)))
+    indices = range(len(data))
     arrays: dict[str, Labelled] = {
         "posterior": {n: (_SAMPLED, x) for n, x in reported(problem, z).items()},
-        "prior": {n: (_SAMPLED, x) for n, x in reported(problem, before).items()},
+        "prior": {n: (_SAMPLED, x) for n, x in reported(problem, prior_z).items()},
         "log_prior": {n: sampled(priors[:, i]) for i, n in enumerate(problem.free)},
-        "log_likelihood": {names[i]: sampled(likelihoods[i], axes[i]) for i in each},
-        "posterior_predictive": {names[i]: sampled(simulated[i], axes[i]) for i in each},
-        "observed_data": {names[i]: ((axes[i],), np.asarray(seen[i].values)) for i in each},
+        "log_likelihood": {names[i]: sampled(likelihoods[i], axes[i]) for i in indices},
+        "posterior_predictive": {names[i]: sampled(simulated[i], axes[i]) for i in indices},
+        "observed_data": {names[i]: ((axes[i],), np.asarray(data[i].values)) for i in indices},
         "sample_stats": {"lp": (_SAMPLED, chains.log_probability[::thin].T)},
     }
-    grids = {a: np.asarray(o.wavelengths) for a, o in zip(axes, seen, strict=True)}
+    grids = {a: np.asarray(o.wavelengths) for a, o in zip(axes, data, strict=True)}
     coordinates = {a: np.arange(3) if a.startswith("channel") else x for a, x in grids.items()}
     return ArvizGroups(arrays, coordinates, thin * chains.thin)
 
@@ -96,9 +96,9 @@ def to_arviz(problem: Problem, chains: Chains, *, key: PRNGKey) -> Any:
 
     arrays, coordinates, _ = arviz_groups(problem, chains, key=key)
     groups = {}
-    for name, held in arrays.items():
-        along = {axis for axes, _ in held.values() for axis in axes} & set(coordinates)
-        groups[name] = xarray.Dataset(dict(held), {axis: coordinates[axis] for axis in along})
+    for name, group in arrays.items():
+        dims = {axis for axes, _ in group.values() for axis in axes} & set(coordinates)
+        groups[name] = xarray.Dataset(dict(group), {axis: coordinates[axis] for axis in dims})
     if arviz.__version__.startswith("0."):
         return arviz.InferenceData(**groups)
     return xarray.DataTree.from_dict(groups)

@@ -47,9 +47,9 @@ class Information(NamedTuple):
 
 def information(problem: Problem, fit: Fit) -> Information:
     """Compute the Fisher information at a fit."""
-    kept = problem.moving
-    names, covariance = tuple(problem.free[i] for i in kept), np.asarray(fit.covariance)
-    in_logs = np.asarray(fit.jacobian)[:, kept] * [float(fit.values[n]) for n in names]
+    moving = problem.moving
+    names, covariance = tuple(problem.free[i] for i in moving), np.asarray(fit.covariance)
+    in_logs = np.asarray(fit.jacobian)[:, moving] * [float(fit.values[n]) for n in names]
     fisher = in_logs.T @ in_logs
     eigenvalues, vectors = np.linalg.eigh(fisher)
     directions = []
@@ -57,26 +57,26 @@ def information(problem: Problem, fit: Fit) -> Information:
         largest = np.abs(vectors[:, k]).max()
         v = vectors[:, k] / largest
         v = v * np.sign(v[np.argmax(np.abs(v))])
-        shown = {n: float(e) for n, e in zip(names, v, strict=True) if abs(e) >= 0.2}
+        components = {n: float(e) for n, e in zip(names, v, strict=True) if abs(e) >= 0.2}
         relative = float(1 / np.sqrt(max(eigenvalues[k], 1e-30)) / largest)
-        directions.append(Direction(shown, relative))
+        directions.append(Direction(components, relative))
     # Variance of each parameter: infinite along directions of which the data say nothing.
     unknown = eigenvalues < 1e-12 * eigenvalues.max()
     variance = vectors**2 @ np.where(unknown, 0.0, 1 / np.where(unknown, 1.0, eigenvalues))
     variance[(vectors[:, unknown] ** 2).any(axis=1)] = np.inf
     alone = dict(zip(names, np.sqrt(variance).tolist(), strict=True))
-    return Information(names, fisher, directions, alone, _trades(problem, covariance, kept))
+    return Information(names, fisher, directions, alone, _trades(problem, covariance, moving))
 
 
 def _trades(
-    problem: Problem, covariance: np.ndarray, kept: list[int]
+    problem: Problem, covariance: np.ndarray, moving: list[int]
 ) -> dict[str, tuple[float, str, float]]:
     """`Information.trades`, in the priors' coordinates, in which a prior's width is one."""
     width = np.sqrt(np.diag(covariance))
     # A parameter on which the data do not depend has no width here, and no correlation.
-    seen = np.where(width > 0, width, 1.0)
-    correlation, out = covariance / np.outer(seen, seen), {}
-    for i in (i for i in kept if kind(problem.free[i]) in _OF_SCATTERING and len(kept) > 1):
-        most = max((k for k in kept if k != i), key=lambda k: abs(correlation[i, k]))
-        out[problem.free[i]] = float(width[i]), problem.free[most], float(correlation[i, most])
-    return out
+    scale = np.where(width > 0, width, 1.0)
+    correlation, rows = covariance / np.outer(scale, scale), {}
+    for i in (i for i in moving if kind(problem.free[i]) in _OF_SCATTERING and len(moving) > 1):
+        other = max((k for k in moving if k != i), key=lambda k: abs(correlation[i, k]))
+        rows[problem.free[i]] = float(width[i]), problem.free[other], float(correlation[i, other])
+    return rows

@@ -88,8 +88,8 @@ def importance_sample(
     Raises:
         ValueError: If no draw at all has a density above zero.
     """
-    mean, covariance = completed(log_density, start)
-    proposals: list[_First | Proposal] = [_First(mean, covariance)]
+    mean, covariance = complete(log_density, start)
+    proposals: list[_InitialProposal | Proposal] = [_InitialProposal(mean, covariance)]
     z, values = np.empty((0, len(mean))), np.empty(0)
     while True:
         new = proposals[-1].draw(DRAWS, random)
@@ -101,46 +101,46 @@ def importance_sample(
             raise ValueError("no draw round the least-squares fit has a probability above zero")
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
         effective = _effective(log_weight, 1.0)
-        power = tempered(log_weight)
-        samples = z[resampled(softmax(power * log_weight), DRAWS, random)]
+        power = tempering_power(log_weight)
+        samples = z[resample(softmax(power * log_weight), DRAWS, random)]
         if effective >= EFFECTIVE or len(proposals) == ROUNDS:
             break
         straight = Straightening.of_samples(samples)
-        proposals.append(Proposal(straight if power >= _BENDING else straight.level(), samples))
+        proposals.append(Proposal(straight if power >= _BENDING else straight.linear(), samples))
     log_integral = float(np.logaddexp.reduce(log_weight) - math.log(len(z)))
     return ImportanceSample(samples, effective, log_integral, len(proposals))
 
 
-def completed(
+def complete(
     log_density: Callable[[np.ndarray], np.ndarray], start: Approximation
 ) -> tuple[Float[np.ndarray, " free"], Float[np.ndarray, "free free"]]:
     """Return mean and covariance of the approximation, unfitted coordinates filled in."""
     mean, covariance = np.array(start.z, float), np.array(start.covariance, float)
-    side = np.linspace(-4.0, 4.0, 64)
+    nodes = np.linspace(-4.0, 4.0, 64)
     for i in np.flatnonzero(np.diag(covariance) == 0):
-        line = np.repeat(mean[None], side.size, axis=0)
-        line[:, i] = side
-        values = log_density(line)
+        points = np.repeat(mean[None], nodes.size, axis=0)
+        points[:, i] = nodes
+        values = log_density(points)
         covariance[i, i] = 1.0
         if np.isfinite(values).any():
             weights = softmax(values)
-            mean[i] = weights @ side
+            mean[i] = weights @ nodes
             # No narrower than the nodes are apart, between which the peak may lie.
-            covariance[i, i] = weights @ (side - mean[i]) ** 2 + (side[1] - side[0]) ** 2
+            covariance[i, i] = weights @ (nodes - mean[i]) ** 2 + (nodes[1] - nodes[0]) ** 2
     # Rounding must not make it indefinite.
     return mean, covariance + 1e-10 * np.eye(mean.size)
 
 
-class _First:
+class _InitialProposal:
     """Wide t distributions about the approximation and the priors, which may be far apart."""
 
     def __init__(self, mean: np.ndarray, covariance: np.ndarray):
-        two: Any = (mean, 4 * covariance), (np.zeros(len(mean)), 2 * np.eye(len(mean)))
-        self._both = [stats.multivariate_t(m, c, df=DEGREES) for m, c in two]
+        moments: Any = (mean, 4 * covariance), (np.zeros(len(mean)), 2 * np.eye(len(mean)))
+        self._both = [stats.multivariate_t(m, c, df=DEGREES) for m, c in moments]
 
     def draw(self, count: int, random: np.random.RandomState) -> np.ndarray:
-        each = [t.rvs(count // 2, random_state=random).reshape(count // 2, -1) for t in self._both]
-        return np.concatenate(each)
+        draws = [t.rvs(count // 2, random_state=random).reshape(count // 2, -1) for t in self._both]
+        return np.concatenate(draws)
 
     def log_density(self, z: np.ndarray) -> np.ndarray:
         return np.logaddexp(*(t.logpdf(z) for t in self._both)) - math.log(2)
@@ -152,21 +152,21 @@ def _effective(log_weight, power: float) -> float:
     return float(w.sum() ** 2 / (w**2).sum())
 
 
-def tempered(log_weight: Float[np.ndarray, " n"]) -> float:
+def tempering_power(log_weight: Float[np.ndarray, " n"]) -> float:
     """Return the largest power, up to 1, with enough effective draws to fit a proposal to."""
-    least = min(_FITTED_TO, 0.5 * float(np.isfinite(log_weight).sum()))
-    if _effective(log_weight, 1.0) >= least:
+    minimum = min(_FITTED_TO, 0.5 * float(np.isfinite(log_weight).sum()))
+    if _effective(log_weight, 1.0) >= minimum:
         return 1.0
-    found: Any = brentq(lambda power: _effective(log_weight, power) - least, 1e-12, 1.0)
-    return float(found)
+    root: Any = brentq(lambda power: _effective(log_weight, power) - minimum, 1e-12, 1.0)
+    return float(root)
 
 
-def resampled(
+def resample(
     weights: Float[np.ndarray, " n"],
     count: int,
     random: np.random.RandomState | np.random.Generator,
 ) -> Int[np.ndarray, " count"]:
     """Return the indices of draws by systematic resampling [Carpenter et al. 1999]."""
     total = np.cumsum(weights)
-    at = (random.random() + np.arange(count)) * (total[-1] / count)
-    return np.minimum(np.searchsorted(total, at), total.size - 1)
+    positions = (random.random() + np.arange(count)) * (total[-1] / count)
+    return np.minimum(np.searchsorted(total, positions), total.size - 1)

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import gammaln, logsumexp, softmax
 
-from irisjax.infer.importance import DRAWS, EFFECTIVE, resampled, tempered
+from irisjax.infer.importance import DRAWS, EFFECTIVE, resample, tempering_power
 from irisjax.infer.moves import DEGREES
 
 _ROUNDS = 12
@@ -38,13 +38,13 @@ class Mixture(NamedTuple):
     ) -> "Mixture":
         """Fit a mixture to draws of equal weight."""
         count, free = draws.shape
-        whole = np.cov(draws.T).reshape(1, free, free) + _LEAST * np.eye(free)
-        first = cls(
+        covariance = np.cov(draws.T).reshape(1, free, free) + _LEAST * np.eye(free)
+        initial = cls(
             np.full(components, 1 / components),
             draws[random.choice(count, components, replace=False)],
-            np.repeat(whole / components ** (2 / free), components, axis=0),
+            np.repeat(covariance / components ** (2 / free), components, axis=0),
         )
-        return first.refined(draws, np.full(count, 1 / count), 20)
+        return initial.refined(draws, np.full(count, 1 / count), 20)
 
     def refined(
         self,
@@ -58,48 +58,48 @@ class Mixture(NamedTuple):
         shares, means, covariances = self
         free = samples.shape[1]
         for _ in range(steps):
-            root, distance = _whitened(samples, means, covariances)
+            root, distance = _whiten(samples, means, covariances)
             log = np.log(shares / root)[:, None] - 0.5 * distance
-            part = weights * np.exp(log - logsumexp(log, axis=0))
-            shares = part.sum(axis=1)
-            kept = shares**2 > 2 * free * (part**2).sum(axis=1)
-            kept[np.argmax(shares)] = True
-            part, shares = part[kept], shares[kept]
-            means = part @ samples / shares[:, None]
-            off = samples - means[:, None]
-            spread = np.matmul(np.swapaxes(off * part[:, :, None], 1, 2), off)
+            membership = weights * np.exp(log - logsumexp(log, axis=0))
+            shares = membership.sum(axis=1)
+            supported = shares**2 > 2 * free * (membership**2).sum(axis=1)
+            supported[np.argmax(shares)] = True
+            membership, shares = membership[supported], shares[supported]
+            means = membership @ samples / shares[:, None]
+            deviation = samples - means[:, None]
+            spread = np.matmul(np.swapaxes(deviation * membership[:, :, None], 1, 2), deviation)
             covariances = spread / shares[:, None, None] + _LEAST * np.eye(free)
             shares = shares / shares.sum()
         return Mixture(shares, means, covariances)
 
     def draw(self, count: int, random: np.random.RandomState) -> Float[np.ndarray, "count free"]:
         """Draw places, each component as wide as Student's t of `DEGREES`."""
-        of = random.choice(len(self.shares), count, p=self.shares)
+        component = random.choice(len(self.shares), count, p=self.shares)
         normal = random.standard_normal((count, self.means.shape[1]))
         scale = np.sqrt(random.chisquare(DEGREES, count) / DEGREES)
-        root = np.linalg.cholesky(self.covariances)[of]
-        return self.means[of] + np.einsum("nij,nj->ni", root, normal / scale[:, None])
+        root = np.linalg.cholesky(self.covariances)[component]
+        return self.means[component] + np.einsum("nij,nj->ni", root, normal / scale[:, None])
 
     def log_density(self, z: Float[np.ndarray, "n free"]) -> Float[np.ndarray, " n"]:
         """Compute the log density of `draw`."""
         free = z.shape[1]
-        root, distance = _whitened(z, self.means, self.covariances)
-        half = 0.5 * (DEGREES + free)
-        constant = gammaln(half) - gammaln(DEGREES / 2) - 0.5 * free * math.log(DEGREES * math.pi)
-        each = np.log(self.shares / root)[:, None] - half * np.log1p(distance / DEGREES)
-        return constant + logsumexp(each, axis=0)
+        root, distance = _whiten(z, self.means, self.covariances)
+        power = 0.5 * (DEGREES + free)
+        constant = gammaln(power) - gammaln(DEGREES / 2) - 0.5 * free * math.log(DEGREES * math.pi)
+        terms = np.log(self.shares / root)[:, None] - power * np.log1p(distance / DEGREES)
+        return constant + logsumexp(terms, axis=0)
 
 
-def _whitened(x, means, covariances) -> tuple[np.ndarray, np.ndarray]:
+def _whiten(x, means, covariances) -> tuple[np.ndarray, np.ndarray]:
     """Square roots of the determinants, and squared Mahalanobis distances (components, n)."""
     root = np.linalg.cholesky(covariances)
-    off = np.linalg.solve(root, np.swapaxes(x - means[:, None], 1, 2))
-    return np.diagonal(root, axis1=1, axis2=2).prod(axis=1), (off**2).sum(axis=1)
+    residuals = np.linalg.solve(root, np.swapaxes(x - means[:, None], 1, 2))
+    return np.diagonal(root, axis1=1, axis2=2).prod(axis=1), (residuals**2).sum(axis=1)
 
 
 def mixture_sample(
     log_density: Callable[[np.ndarray], np.ndarray],
-    first: Mixture,
+    initial: Mixture,
     random: np.random.RandomState,
 ) -> tuple[Float[np.ndarray, "draws free"], float]:
     """Sample a density by draws of a mixture that is fitted to them, round after round.
@@ -115,21 +115,21 @@ def mixture_sample(
     Returns:
         `DRAWS` samples of equal weights, and the number of effective draws.
     """
-    proposals = [first]
-    z, values, proposed = np.empty((0, first.means.shape[1])), np.empty(0), np.empty(0)
+    proposals = [initial]
+    z, values, proposed = np.empty((0, initial.means.shape[1])), np.empty(0), np.empty(0)
     while True:
-        new = proposals[-1].draw(DRAWS, random)
+        draws = proposals[-1].draw(DRAWS, random)
         if len(z):
             proposed = np.logaddexp(proposed, proposals[-1].log_density(z))
-        every = np.logaddexp.reduce([p.log_density(new) for p in proposals])
-        z, proposed = np.concatenate([z, new]), np.concatenate([proposed, every])
-        values = np.concatenate([values, log_density(new)])
+        densities = np.logaddexp.reduce([p.log_density(draws) for p in proposals])
+        z, proposed = np.concatenate([z, draws]), np.concatenate([proposed, densities])
+        values = np.concatenate([values, log_density(draws)])
         log_weight = values - proposed
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
         weights = softmax(log_weight)
         effective = float(1 / (weights**2).sum())
         if effective >= EFFECTIVE or len(proposals) == _ROUNDS:
-            return z[resampled(weights, DRAWS, random)], effective
-        weights = softmax(tempered(log_weight) * log_weight)
-        kept = weights > 1e-3 / len(weights)
-        proposals.append(proposals[-1].refined(z[kept], weights[kept], _REFINED))
+            return z[resample(weights, DRAWS, random)], effective
+        weights = softmax(tempering_power(log_weight) * log_weight)
+        relevant = weights > 1e-3 / len(weights)
+        proposals.append(proposals[-1].refined(z[relevant], weights[relevant], _REFINED))

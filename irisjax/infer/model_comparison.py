@@ -96,11 +96,11 @@ def compare_processes(
     of those of its fit.
     """
     spread = noise_left(own, other)
-    mine = intervals_of(problem, own, spread) | dict(intervals or {})
-    theirs = intervals_of(other_problem, other, spread)
+    own_intervals = intervals_of(problem, own, spread) | dict(intervals or {})
+    other_intervals = intervals_of(other_problem, other, spread)
     names = [n for n in problem.free if kind(n) in COMPARED]
     log_odds = _log_evidence(other_problem, other, spread) - _log_evidence(problem, own, spread)
-    moved = {n: Moved(mine[n], theirs[n]) for n in names}
+    moved = {n: Moved(own_intervals[n], other_intervals[n]) for n in names}
     return ProcessComparison(other_problem.process, moved, log_odds)
 
 
@@ -137,17 +137,17 @@ class Assessment(NamedTuple):
 
 def candidates_of(problem: Problem) -> dict[str, Problem]:
     """Return a problem by ILIT, radiative transfer and one with a power law, its own first."""
-    stated = problem.base.power_law is not None
-    own = problem.under(None) if stated else problem
-    problems = own, own.by(other_of(own.process))
-    both = {p.process.name: p for p in problems}
+    has_law = problem.base.power_law is not None
+    without_law = problem.under(None) if has_law else problem
+    problems = without_law, without_law.by(other_of(without_law.process))
+    by_process = {p.process.name: p for p in problems}
     by_law = "general radiative transfer"
-    if stated:
-        return {by_law: problem, **both}
+    if has_law:
+        return {by_law: problem, **by_process}
     general = problem.under(PowerLaw())
     # A relative error of 2e-3 for 95 % of the priors' irides: a tenth of a good spectrum's noise.
     solvers = solvers_of(general.base, general.observations, AddingDoubling(12, 10), {})
-    return {**both, by_law: dataclasses.replace(general, solvers=solvers)}
+    return {**by_process, by_law: dataclasses.replace(general, solvers=solvers)}
 
 
 def compare_models(
@@ -174,20 +174,20 @@ def compare_models(
     candidates = candidates_of(problem) if candidates is None else candidates
     if len(candidates) < 2:
         raise ValueError("give two or more models to compare")
-    out: list[Assessment] = []
-    for i, (name, mine) in enumerate(candidates.items()):
-        tell = functools.partial(progress or (lambda name, rounds: None), name)
-        one, two, three = jax.random.split(jax.random.fold_in(key, i), 3)
-        tell(0)
-        random = np.random.RandomState(words_of(two))
-        found = importance_sample(mine.log_density, fit(mine, key=one), random, tell)
-        if not found.enough:
-            draws = f"{found.effective:.0f} effective draws of {EFFECTIVE} asked"
+    results: list[Assessment] = []
+    for i, (name, model) in enumerate(candidates.items()):
+        report = functools.partial(progress or (lambda name, rounds: None), name)
+        fit_key, sample_key, score_key = jax.random.split(jax.random.fold_in(key, i), 3)
+        report(0)
+        random = np.random.RandomState(words_of(sample_key))
+        evidence = importance_sample(model.log_density, fit(model, key=fit_key), random, report)
+        if not evidence.enough:
+            draws = f"{evidence.effective:.0f} effective draws of {EFFECTIVE} asked"
             raise ValueError(f"{name}: importance weights stay uneven ({draws}): no evidence")
         # Resampling leaves them in the order of the rounds.
-        found = found._replace(samples=random.permutation(found.samples))
-        out.append(_assessed(name, mine, found, out[0] if out else None, three))
-    return tuple(out)
+        evidence = evidence._replace(samples=random.permutation(evidence.samples))
+        results.append(_assess(name, model, evidence, results[0] if results else None, score_key))
+    return tuple(results)
 
 
 def predictive_score(
@@ -201,21 +201,21 @@ def predictive_score(
 
     stats: Any = array_stats  # it returns scalars where its annotations have tuples too
     by_value, r_eff = np.moveaxis(log_likelihood, -1, 0), min(effective, 1.0)
-    each, _, _ = stats.loo(by_value, chain_axis=-2, draw_axis=-1, r_eff=r_eff)
-    return float(np.sum(each)), float(np.sqrt(np.size(each)) * np.std(each))
+    scores, _, _ = stats.loo(by_value, chain_axis=-2, draw_axis=-1, r_eff=r_eff)
+    return float(np.sum(scores)), float(np.sqrt(np.size(scores)) * np.std(scores))
 
 
 def noise_left(own: Fit, other: Fit) -> float:
     """Return the factor on the stated noise that the better of two fits needs, at least 1."""
-    least = min(float(own.chi_square), float(other.chi_square))
-    return math.sqrt(max(1.0, least / max(own.degrees, 1)))
+    chi_square = min(float(own.chi_square), float(other.chi_square))
+    return math.sqrt(max(1.0, chi_square / max(own.degrees, 1)))
 
 
-def intervals_of(problem: Problem, found: Fit, spread: float) -> dict[str, Interval]:
+def intervals_of(problem: Problem, solution: Fit, spread: float) -> dict[str, Interval]:
     """Return 95 % intervals of a fit's parameters for noise `spread` times what was stated."""
-    half = 1.96 * np.sqrt(np.diagonal(covariance_at(np.asarray(found.covariance), spread)))
-    ends = (jnp.asarray(found.z + sign * half) for sign in (0, -1, 1))
-    values = [np.asarray(problem.natural(z)) for z in ends]
+    margins = 1.96 * np.sqrt(np.diagonal(covariance_at(np.asarray(solution.covariance), spread)))
+    points = (jnp.asarray(solution.z + sign * margins) for sign in (0, -1, 1))
+    values = [np.asarray(problem.natural(z)) for z in points]
     rows = zip(problem.free, np.stack(values, axis=1).tolist(), strict=True)
     return {n: Interval(*row) for n, row in rows}
 
@@ -228,28 +228,28 @@ def covariance_at(
     return square * np.linalg.solve(np.eye(len(covariance)) + (square - 1) * covariance, covariance)
 
 
-def _log_evidence(problem: Problem, found: Fit, spread: float) -> float:
+def _log_evidence(problem: Problem, solution: Fit, spread: float) -> float:
     """Logarithm of the evidence but for a constant that processes share [Laplace]."""
-    kept = problem.moving
-    covariance = covariance_at(np.asarray(found.covariance)[np.ix_(kept, kept)], spread)
-    data = 0.5 * float(found.chi_square)
-    prior = float(found.cost) - data
+    moving = problem.moving
+    covariance = covariance_at(np.asarray(solution.covariance)[np.ix_(moving, moving)], spread)
+    data = 0.5 * float(solution.chi_square)
+    prior = float(solution.cost) - data
     return float(0.5 * np.linalg.slogdet(covariance)[1] - data / spread**2 - prior)
 
 
-def _assessed(
-    name: str, problem: Problem, found: ImportanceSample, first: Assessment | None, key: PRNGKey
+def _assess(
+    name: str, problem: Problem, evidence: ImportanceSample, first: Assessment | None, key: PRNGKey
 ) -> Assessment:
-    z = found.samples
+    z = evidence.samples
     draws = reported(problem, z)
     names = [n for n in problem.free if kind(n) in (*COMPARED, *OF_POWER_LAW, "noise")]
-    beside = draws if first is None else reported(first.problem, first.evidence.samples)
-    score, error = predictive_score(pointwise(problem, z)[None], found.effective / len(z))
+    reference = draws if first is None else reported(first.problem, first.evidence.samples)
+    score, error = predictive_score(pointwise(problem, z)[None], evidence.effective / len(z))
     _, models, sds, *_ = predicted(problem, z[:DRAWS], key)
     medians = tuple(np.median(m, axis=0) for m in models)
     spread = (np.median(sd, axis=0) for sd in sds)
     data = (np.asarray(o.values) for o in problem.observations)
     residuals = tuple((y - m) / sd for y, m, sd in zip(data, medians, spread, strict=True))
     values = {n: Interval.of(draws[n]) for n in names}
-    ratios = {n: Interval.of(draws[n] / beside[n]) for n in names if n in beside}
-    return Assessment(name, problem, found, score, error, values, ratios, medians, residuals)
+    ratios = {n: Interval.of(draws[n] / reference[n]) for n in names if n in reference}
+    return Assessment(name, problem, evidence, score, error, values, ratios, medians, residuals)

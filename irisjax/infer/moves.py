@@ -35,26 +35,26 @@ class Straightening(NamedTuple):
         axes = (axes * np.sqrt(np.maximum(variance, 1e-12 * variance.max())))[:, ::-1]
         w = np.linalg.solve(axes, (z - mean).T).T
         bends, width = [], np.empty(len(mean))
-        for i, own in enumerate(w.T):
+        for i, column in enumerate(w.T):
             terms = _quadratic(w[:, :i])
             # Normal equations: well conditioned, as the coordinates have unit variance.
             gram = terms.T @ terms + 1e-9 * len(terms) * np.eye(terms.shape[1])
-            bends.append(np.linalg.solve(gram, terms.T @ own))
-            width[i] = np.std(own - terms @ bends[i])
+            bends.append(np.linalg.solve(gram, terms.T @ column))
+            width[i] = np.std(column - terms @ bends[i])
         return cls(mean, axes, bends, width)
 
-    def level(self) -> "Straightening":
+    def linear(self) -> "Straightening":
         """Return the same axes without bends."""
         flat = [np.zeros_like(bend) for bend in self.bends]
         return self._replace(bends=flat, width=np.ones_like(self.width))
 
-    def to(self, z: Float[np.ndarray, "n free"]) -> Float[np.ndarray, "n free"]:
+    def forward(self, z: Float[np.ndarray, "n free"]) -> Float[np.ndarray, "n free"]:
         """Compute y of z."""
         w = np.linalg.solve(self.axes, (z - self.mean).T).T
-        bent = [_quadratic(w[:, :i]) @ bend for i, bend in enumerate(self.bends)]
-        return (w - np.stack(bent, axis=1)) / self.width
+        shifts = [_quadratic(w[:, :i]) @ bend for i, bend in enumerate(self.bends)]
+        return (w - np.stack(shifts, axis=1)) / self.width
 
-    def back(self, y: Float[np.ndarray, "n free"]) -> Float[np.ndarray, "n free"]:
+    def inverse(self, y: Float[np.ndarray, "n free"]) -> Float[np.ndarray, "n free"]:
         """Compute z of y."""
         w = y * self.width
         for i, bend in enumerate(self.bends):
@@ -73,7 +73,7 @@ class Proposal:
     """A multivariate Student t in straightened coordinates, fitted to samples."""
 
     def __init__(self, straight: Straightening, samples: Float[np.ndarray, "n free"]):
-        y = straight.to(samples)
+        y = straight.forward(samples)
         spread: Any = np.cov(y.T)  # scipy's stub calls a matrix int
         self._straight = straight
         self._t = stats.multivariate_t(y.mean(axis=0), spread, df=DEGREES)
@@ -83,11 +83,11 @@ class Proposal:
     def draw(self, count: int, random: np.random.RandomState) -> Float[np.ndarray, "count free"]:
         """Draw `count` places."""
         y = self._t.rvs(count, random_state=random).reshape(count, -1)
-        return self._straight.back(y)
+        return self._straight.inverse(y)
 
     def log_density(self, z: Float[np.ndarray, "n free"]) -> Float[np.ndarray, " n"]:
         """Compute the log density at places z."""
-        return self._t.logpdf(self._straight.to(z)) - self._volume
+        return self._t.logpdf(self._straight.forward(z)) - self._volume
 
 
 def independent_move(
@@ -98,8 +98,8 @@ def independent_move(
 
     def propose(z, random):
         new = proposal.draw(len(z), random)
-        here, there = np.split(proposal.log_density(np.concatenate([z, new])), 2)
-        return new, here - there
+        log_old, log_new = np.split(proposal.log_density(np.concatenate([z, new])), 2)
+        return new, log_old - log_new
 
     return emcee.moves.MHMove(propose)
 
@@ -115,9 +115,9 @@ class _DifferenceMove(emcee.moves.DEMove):
         self, s: np.ndarray, c: list[np.ndarray], random: np.random.RandomState
     ) -> tuple[np.ndarray, np.ndarray]:
         """Propose places for walkers `s` from the differences of the others, `c`."""
-        to = self._straight.to
-        new, factors = super().get_proposal(to(s), [to(z) for z in c], random)
-        return self._straight.back(new), factors
+        forward = self._straight.forward
+        new, factors = super().get_proposal(forward(s), [forward(z) for z in c], random)
+        return self._straight.inverse(new), factors
 
 
 def mixture(

@@ -52,7 +52,7 @@ class Noise(eqx.Module):
     def pointwise(self, observation: Observation, model: _Values, factor: _Factor = 1.0) -> _Values:
         """Return the log density of every value, of correlated ones given those before."""
         spread = self._spread(observation, model, factor)
-        white, log_sd = _whitened(spread, observation.values - model)
+        white, log_sd = _standardise(spread, observation.values - model)
         if self.degrees_of_freedom is not None and observation.correlation_root is None:
             return t.logpdf(white, self.degrees_of_freedom) - log_sd
         return -0.5 * (white * white + _LOG_2PI) - log_sd
@@ -60,7 +60,7 @@ class Noise(eqx.Module):
     def whiten(self, observation: Observation, model: _Values) -> _Values:
         """Return residuals of unit variance; weights from the data do not pull on the model."""
         values = observation.values
-        return _whitened(self._spread(observation, values), values - model)[0]
+        return _standardise(self._spread(observation, values), values - model)[0]
 
     def draw(
         self,
@@ -80,21 +80,21 @@ class Noise(eqx.Module):
 
     def _spread(self, observation: Observation, model: _Values, factor: _Factor = 1.0) -> Array:
         """Standard deviations (data,), or Cholesky's root (data, data) of a covariance."""
-        stated = observation.sd
-        if stated is None:
-            stated = jnp.sqrt((self.relative * model) ** 2 + self.absolute**2)
-        sd = factor * stated
+        unscaled = observation.sd
+        if unscaled is None:
+            unscaled = jnp.sqrt((self.relative * model) ** 2 + self.absolute**2)
+        sd = factor * unscaled
         root = observation.correlation_root
         if self.discrepancy is None or self.length is None or observation.is_colour:
             return sd if root is None else sd[:, None] * root
         independent = jnp.diag(sd * sd) if root is None else (sd[:, None] * root) @ (root.T * sd)
-        apart = (observation.wavelengths[:, None] - observation.wavelengths) / self.length
+        separation = (observation.wavelengths[:, None] - observation.wavelengths) / self.length
         size = self.discrepancy * model
-        smooth = size[:, None] * size * jnp.exp(-0.5 * apart**2)
+        smooth = size[:, None] * size * jnp.exp(-0.5 * separation**2)
         return cholesky(independent + smooth)
 
 
-def _whitened(spread: Array, residual: _Values) -> tuple[_Values, _Values]:
+def _standardise(spread: Array, residual: _Values) -> tuple[_Values, _Values]:
     """Residuals of unit variance, and logarithms of what they were divided by."""
     if spread.ndim == 2:
         return whiten(spread, residual)

@@ -103,15 +103,15 @@ def spectrum(
     Raises:
         ValueError: Naming the first wavelength at which something is wrong.
     """
-    whole = hasattr(wavelengths, "wavelengths") and hasattr(wavelengths, "values")
-    if whole == (values is not None):
-        said = "give wavelengths and values, or one object that has both; sd by its name"
-        raise ValueError(f"{name}: {said}")
-    if whole:
+    is_object = hasattr(wavelengths, "wavelengths") and hasattr(wavelengths, "values")
+    if is_object == (values is not None):
+        message = "give wavelengths and values, or one object that has both; sd by its name"
+        raise ValueError(f"{name}: {message}")
+    if is_object:
         if covariance is None:
             sd = getattr(wavelengths, "sd", None) if sd is None else sd
-            known = getattr(wavelengths, "correlated", None)
-            correlated = known if correlated is None and boxcar is None else correlated
+            width = getattr(wavelengths, "correlated", None)
+            correlated = width if correlated is None and boxcar is None else correlated
         if bands is None and boxcar is None:
             bands = getattr(wavelengths, "bandwidth", None)
         wavelengths, values = wavelengths.wavelengths, wavelengths.values
@@ -120,8 +120,8 @@ def spectrum(
         y, scatter = mean_of_scans(y)
         sd = scatter if sd is None else sd
     if grid.ndim != 1 or y.shape != grid.shape:
-        said = f"{y.shape} values for {grid.shape} wavelengths; need one for each"
-        raise ValueError(f"{name}: {said}")
+        message = f"{y.shape} values for {grid.shape} wavelengths; need one for each"
+        raise ValueError(f"{name}: {message}")
     order = np.argsort(grid, kind="stable")
     grid, y = grid[order], y[order]
     check_wavelengths(grid)
@@ -145,13 +145,13 @@ def spectrum(
     if correlated is not None:
         check_range("correlated", correlated, BANDWIDTH)
         # Two means share the values in the overlap of their intervals.
-        shared = np.maximum(1 - np.abs(grid[:, None] - grid) / correlated, 0)
-        root = np.linalg.cholesky(shared + _JITTER * np.eye(grid.size))
+        overlap = np.maximum(1 - np.abs(grid[:, None] - grid) / correlated, 0)
+        root = np.linalg.cholesky(overlap + _JITTER * np.eye(grid.size))
     if sd is not None:
         sd = np.broadcast_to(np.asarray(sd, np.float64), order.shape)[order]
         for i in np.flatnonzero(~(np.isfinite(sd) & (sd > 0)))[:1]:
-            said = f"the standard deviation at {grid[i]:g} nm is {sd[i]:g}; it must be > 0"
-            raise ValueError(f"{name}: {said}")
+            message = f"the standard deviation at {grid[i]:g} nm is {sd[i]:g}; it must be > 0"
+            raise ValueError(f"{name}: {message}")
     if quantity not in (REFLECTANCE, RADIANCE):
         raise ValueError(f"quantity must be {REFLECTANCE!r} or {RADIANCE!r}, got {quantity!r}")
     settings: dict[str, Any] = {} if cornea is None else {"cornea": cornea}
@@ -171,16 +171,16 @@ def _sd_and_root(
     """Standard deviations, and the root of the correlations, of values in this order."""
     c = np.asarray(covariance, np.float64)
     n = order.size
-    said = f"{name}: the covariance must be {n} by {n}, symmetric and positive definite"
+    message = f"{name}: the covariance must be {n} by {n}, symmetric and positive definite"
     if c.shape != (n, n) or not np.allclose(c, c.T, rtol=1e-6, atol=1e-12 * np.abs(c).max()):
-        raise ValueError(said)
+        raise ValueError(message)
     sd = np.sqrt(np.maximum(np.diag(c), 0))[order]
     if not (sd > 0).all():
-        raise ValueError(said)
+        raise ValueError(message)
     try:
         return sd, np.linalg.cholesky(c[np.ix_(order, order)] / np.outer(sd, sd))
     except np.linalg.LinAlgError:
-        raise ValueError(said) from None
+        raise ValueError(message) from None
 
 
 def mean_of_scans(
@@ -221,8 +221,8 @@ def colour_data(
         name: What messages and figures call it.
     """
     if quantity not in COLOUR_QUANTITIES:
-        known = ", ".join(COLOUR_QUANTITIES)
-        raise ValueError(f"quantity must be one of {known}, got {quantity!r}")
+        allowed = ", ".join(COLOUR_QUANTITIES)
+        raise ValueError(f"quantity must be one of {allowed}, got {quantity!r}")
     y = np.asarray(values, np.float64)
     if y.shape != (3,) or not np.isfinite(y).all():
         raise ValueError(f"{name}: a colour is three finite numbers")

@@ -99,10 +99,10 @@ def of_iris(iris: Iris) -> dict[str, Any]:
     melanin = iris.eumelanin + iris.pheomelanin
     # Without any melanin every share gives the same iris; LB06's is returned.
     share = share_of(iris.pheomelanin, melanin, 0.2)
-    known = {name: getattr(iris, name) for name in ("melanin_load", *_OF_IRIS)}
-    known |= {"pheomelanin_share": share, "gain": 1.0, "noise": 1.0}
-    known |= {} if iris.power_law is None else iris.power_law.parameters()
-    return {name: known[name] for name in PARAMETERS if name in known}
+    values = {name: getattr(iris, name) for name in ("melanin_load", *_OF_IRIS)}
+    values |= {"pheomelanin_share": share, "gain": 1.0, "noise": 1.0}
+    values |= {} if iris.power_law is None else iris.power_law.parameters()
+    return {name: values[name] for name in PARAMETERS if name in values}
 
 
 def iris_of(values: Mapping[str, Any], base: Iris) -> Iris:
@@ -133,11 +133,11 @@ def kind(name: str) -> str:
 
 def unit_of(name: str) -> str:
     """Return the unit of a free or derived name."""
-    known = PARAMETERS.get(kind(name))
-    return DERIVED[kind(name)] if known is None else known.allowed.unit
+    parameter = PARAMETERS.get(kind(name))
+    return DERIVED[kind(name)] if parameter is None else parameter.allowed.unit
 
 
-def seen_by(values: Mapping[str, Any], i: int) -> dict[str, Any]:
+def of_observation(values: Mapping[str, Any], i: int) -> dict[str, Any]:
     """Return the parameters of the i-th observation, under their plain names."""
     tag = f"@{i + 1}"
     return {kind(n): v for n, v in values.items() if "@" not in n or n.endswith(tag)}

@@ -108,7 +108,7 @@ def prior_starts(problem: Problem, each: Each = map) -> Starts:
 
 def starts_at(problem: Problem, z: Float[np.ndarray, "starts free"], each: Each = map) -> Starts:
     """Return the starts at some vectors z, such as those of fits."""
-    return Starts(z, *map_rows(partial(_linearised, problem.unnamed()), z, _ROWS, each))
+    return Starts(z, *map_rows(partial(_linearise, problem.unnamed()), z, _ROWS, each))
 
 
 def fit_pixels(
@@ -125,26 +125,26 @@ def fit_pixels(
     problem, dtype = problem.unnamed(), jnp.result_type(float)
     values = np.asarray(values, dtype)
     table = jax.tree.map(lambda x: jnp.asarray(x, dtype), starts)
-    z = map_rows(lambda some: _started(problem, table, some), values, _ROWS, each)
-    run = partial(_fitted, problem)
-    found = map_rows(run, (values, z), _ROWS, each)
+    z = map_rows(lambda rows: _initial_z(problem, table, rows), values, _ROWS, each)
+    run = partial(_fit_rows, problem)
+    fits = map_rows(run, (values, z), _ROWS, each)
     for _ in range(_ROUNDS):
-        again = np.flatnonzero(found["again"])
-        if not again.size:
+        pending = np.flatnonzero(fits["pending"])
+        if not pending.size:
             break
-        more = map_rows(run, (values[again], found["z"][again]), _ROWS, each)
-        for name, array in more.items():
-            found[name][again] = array
+        retried = map_rows(run, (values[pending], fits["z"][pending]), _ROWS, each)
+        for name, array in retried.items():
+            fits[name][pending] = array
     moving = problem.moving
-    slopes = found["slopes"][:, moving]
-    covariance = found["covariance"][:, moving][:, :, moving]
-    off = (np.abs(found["z"]) > OFF_PRIOR).any(axis=1)
-    flags = PixelFlag.NOT_CONVERGED * ~found["converged"] + PixelFlag.OFF_PRIOR * off
-    flags += PixelFlag.MISFIT * found["misfit"]
+    slopes = fits["slopes"][:, moving]
+    covariance = fits["covariance"][:, moving][:, :, moving]
+    outside = (np.abs(fits["z"]) > OFF_PRIOR).any(axis=1)
+    flags = PixelFlag.NOT_CONVERGED * ~fits["converged"] + PixelFlag.OFF_PRIOR * outside
+    flags += PixelFlag.MISFIT * fits["misfit"]
     return PixelFits(
-        found["z"], found["values"][:, moving],
-        slopes[:, :, None] * covariance * slopes[:, None, :], found["predicted"],
-        found["chi_square"], flags.astype(np.uint8), found["covariance"], tuple(problem.fitted),
+        fits["z"], fits["values"][:, moving],
+        slopes[:, :, None] * covariance * slopes[:, None, :], fits["predicted"],
+        fits["chi_square"], flags.astype(np.uint8), fits["covariance"], tuple(problem.fitted),
     )  # fmt: skip
 
 
@@ -205,7 +205,7 @@ def _predicted(problem: Problem, z: Any) -> Any:
 
 
 @eqx.filter_jit
-def _linearised(problem: Problem, z: Any) -> Any:
+def _linearise(problem: Problem, z: Any) -> Any:
     def one(x):
         return problem.predict(x)[0], jax.jacfwd(lambda x: problem.predict(x)[0])(x)
 
@@ -213,7 +213,7 @@ def _linearised(problem: Problem, z: Any) -> Any:
 
 
 @eqx.filter_jit
-def _started(problem: Problem, starts: Starts, values: Any) -> Any:
+def _initial_z(problem: Problem, starts: Starts, values: Any) -> Any:
     """The start of each pixel: the best of the nearest of a table and what follows from it."""
     o = problem.observations[0]
     sd = jax.vmap(lambda v: problem.noise.stated(with_values(o, v), v))(values)
@@ -234,32 +234,32 @@ def _started(problem: Problem, starts: Starts, values: Any) -> Any:
             move = linear.solve(gram, slopes.T @ ((v - predicted) / sd) - z)
             z = z + jnp.clip(move, -_LONGEST, _LONGEST)
             predicted = problem.predict(z)[0]
-            here = cost(z, predicted)
-            best, lowest = jnp.where(here < lowest, z, best), jnp.minimum(here, lowest)
+            value = cost(z, predicted)
+            best, lowest = jnp.where(value < lowest, z, best), jnp.minimum(value, lowest)
             return (z, predicted, best, lowest), None
 
-        first = z, starts.predicted[k], z, cost(z, starts.predicted[k])
-        return jax.lax.scan(step, first, length=_LINEAR_STEPS)[0][2]
+        initial = z, starts.predicted[k], z, cost(z, starts.predicted[k])
+        return jax.lax.scan(step, initial, length=_LINEAR_STEPS)[0][2]
 
     return jax.lax.map(one, (values, sd, nearest), batch_size=_BATCH)
 
 
 @eqx.filter_jit
-def _fitted(problem: Problem, rows: Any) -> dict[str, Any]:
+def _fit_rows(problem: Problem, rows: Any) -> dict[str, Any]:
     o = problem.observations[0]
     # Dogleg takes half as many steps as Levenberg and Marquardt's method in curved valleys.
     solver: Any = optx.Dogleg(_TOLERANCE, _TOLERANCE, linear_solver=NORMAL_EQUATIONS)
 
     def one(row):
         values, z = row
-        mine = problem.with_observations(with_values(o, values))
-        found: Fit = fit(mine, solver=solver, start=z, starts=1, max_steps=_STEPS)
-        again = found.status == FitStatus.not_converged
+        target = problem.with_observations(with_values(o, values))
+        result: Fit = fit(target, solver=solver, start=z, starts=1, max_steps=_STEPS)
+        pending = result.status == FitStatus.not_converged
         return {
-            "z": found.z, "values": problem.natural(found.z), "slopes": problem.slopes(found.z),
-            "covariance": found.covariance, "predicted": found.predicted[0],
-            "chi_square": found.chi_square / max(values.size, 1), "again": again,
-            "converged": found.converged, "misfit": found.status == FitStatus.misfit,
+            "z": result.z, "values": problem.natural(result.z), "slopes": problem.slopes(result.z),
+            "covariance": result.covariance, "predicted": result.predicted[0],
+            "chi_square": result.chi_square / max(values.size, 1), "pending": pending,
+            "converged": result.converged, "misfit": result.status == FitStatus.misfit,
         }  # fmt: skip
 
     return jax.lax.map(one, rows, batch_size=_BATCH)

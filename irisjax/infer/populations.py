@@ -18,7 +18,7 @@ from scipy.special import log_ndtr, ndtri_exp, softmax
 from scipy.stats import norm
 
 from irisjax._types import PRNGKey
-from irisjax.infer.importance import DRAWS, EFFECTIVE, Start, completed, importance_sample
+from irisjax.infer.importance import DRAWS, EFFECTIVE, Start, complete, importance_sample
 from irisjax.infer.least_squares import least_squares, levenberg_marquardt
 from irisjax.infer.mixtures import Mixture, mixture_sample
 from irisjax.infer.posterior import Density
@@ -82,28 +82,28 @@ def population(
         ]
     else:
         z = draws.mean(axis=1)
-        off = draws - z[:, None]
-        covariance = np.einsum("nki,nkj->nij", off, off) / (draws.shape[1] - 1)
-        mixtures = [Mixture.of_draws(each, _COMPONENTS, random) for each in draws]
+        deviation = draws - z[:, None]
+        covariance = np.einsum("nki,nkj->nij", deviation, deviation) / (draws.shape[1] - 1)
+        mixtures = [Mixture.of_draws(posterior, _COMPONENTS, random) for posterior in draws]
     eyes = [_likelihood(mixture, width) for mixture in mixtures]
 
     def log_density(x):
-        found = (eye(x[:, :free], _spread(x[:, free:])) for eye in eyes)
-        return sum(found) - 0.5 * (x**2).sum(axis=1)
+        terms = (eye(x[:, :free], _spread(x[:, free:])) for eye in eyes)
+        return sum(terms) - 0.5 * (x**2).sum(axis=1)
 
-    found = importance_sample(log_density, _moments(z, covariance), random)
-    mean, spread = found.samples[:, :free], _spread(found.samples[:, free:])
+    sample = importance_sample(log_density, _moments(z, covariance), random)
+    mean, spread = sample.samples[:, :free], _spread(sample.samples[:, free:])
     middle, typical = np.median(mean, axis=0), np.median(spread, axis=0)
     precision = [_precision(c, width) for c in covariance]
-    own = np.mean([np.diag(_kept_share(typical, p)) for p in precision], axis=0)
-    fewest = 1.0
+    own_shares = np.mean([np.diag(_own_share(typical, p)) for p in precision], axis=0)
+    smallest = 1.0
     if draws is not None:
         # A mixture resolves no group narrower than half of the eye's own standard deviation.
-        near = np.sqrt(typical**2 + 0.25 * draws.var(axis=1, keepdims=True))
-        log = norm.logpdf(draws, middle, near) - norm.logpdf(draws, 0, width)
+        scales = np.sqrt(typical**2 + 0.25 * draws.var(axis=1, keepdims=True))
+        log = norm.logpdf(draws, middle, scales) - norm.logpdf(draws, 0, width)
         weights = softmax(log.sum(axis=2), axis=1)
-        fewest = float(1 / (weights**2).sum(axis=1).max())
-    return Population(mean, spread, 1 - own, found.effective, fewest)
+        smallest = float(1 / (weights**2).sum(axis=1).max())
+    return Population(mean, spread, 1 - own_shares, sample.effective, smallest)
 
 
 def likelihood_draws(
@@ -117,24 +117,24 @@ def likelihood_draws(
         names: Of the parameters; the others keep their own priors and are left out.
         key: Source of the draws.
     """
-    kept, wide = _kept(target, names)
+    index, wide = _selection(target, names)
 
     def log_density(z):
-        return np.asarray(target.log_density(z)) + 0.5 * (1 - WIDTH**-2) * (z[:, kept] ** 2).sum(1)
+        return np.asarray(target.log_density(z)) + 0.5 * (1 - WIDTH**-2) * (z[:, index] ** 2).sum(1)
 
-    places = [completed(log_density, start) for start in starts]
+    places = [complete(log_density, start) for start in starts]
     means = np.stack([*(m for m, _ in places), np.zeros(wide.size)])
     # Half as wide again, so that little is missed; the last one is the prior.
     covariances = np.stack([*(1.5 * c for _, c in places), np.diag(2 / wide)])
     log = log_density(means)
-    near = log > log[:-1].max() - _FAINT
-    near[-1] = True
-    first = Mixture(np.full(near.sum(), 1 / near.sum()), means[near], covariances[near])
+    likely = log > log[:-1].max() - _FAINT
+    likely[-1] = True
+    initial = Mixture(np.full(likely.sum(), 1 / likely.sum()), means[likely], covariances[likely])
     random = np.random.RandomState(words_of(key))
-    samples, effective = mixture_sample(log_density, first, random)
+    samples, effective = mixture_sample(log_density, initial, random)
     if effective < EFFECTIVE:
         samples = importance_sample(log_density, starts[0], random).samples
-    return samples[np.linspace(0, DRAWS - 1, KERNELS).astype(int)][:, kept]
+    return samples[np.linspace(0, DRAWS - 1, KERNELS).astype(int)][:, index]
 
 
 def tails(problem: Problem, z: Float[np.ndarray, " free"], names: Sequence[str]) -> list[Start]:
@@ -145,56 +145,58 @@ def tails(problem: Problem, z: Float[np.ndarray, " free"], names: Sequence[str])
     Each parameter is therefore held far out on either side, the others are fitted there, and the
     curvature without the hold gives the covariance.
     """
-    kept, wide = _kept(problem, names)
-    held = np.array([kept[0], *np.repeat(kept, 2)])
-    at = np.array([0.0, *np.tile([_TAIL, -_TAIL], len(kept))])
-    hold = np.full(held.size, 1 / _HOLD)
-    hold[0] = 0  # the fit itself, under wide priors
-    found = _held(problem.unnamed(), *map(jnp.asarray, (z, wide, held, at, hold)))
-    places, precision = map(np.asarray, found)
-    good = np.isfinite(places).all(axis=1) & np.isfinite(precision).all(axis=(1, 2))
-    covariance = np.linalg.inv(precision[good])
+    index, wide = _selection(problem, names)
+    indices = np.array([index[0], *np.repeat(index, 2)])
+    targets = np.array([0.0, *np.tile([_TAIL, -_TAIL], len(index))])
+    stiffness = np.full(indices.size, 1 / _HOLD)
+    stiffness[0] = 0  # the fit itself, under wide priors
+    solution = _constrained_fit(
+        problem.unnamed(), *map(jnp.asarray, (z, wide, indices, targets, stiffness))
+    )
+    places, precision = map(np.asarray, solution)
+    valid = np.isfinite(places).all(axis=1) & np.isfinite(precision).all(axis=(1, 2))
+    covariance = np.linalg.inv(precision[valid])
     covariance = 0.5 * (covariance + np.swapaxes(covariance, 1, 2))
     unfitted = [i for i in range(len(z)) if i not in problem.moving]
     covariance[:, unfitted] = 0
     covariance[:, :, unfitted] = 0
-    return [Start(m, c) for m, c in zip(places[good], covariance, strict=True)]
+    return [Start(m, c) for m, c in zip(places[valid], covariance, strict=True)]
 
 
-def _kept(target: Density, names: Sequence[str]) -> tuple[list[int], np.ndarray]:
+def _selection(target: Density, names: Sequence[str]) -> tuple[list[int], np.ndarray]:
     """Places of the parameters, and the precision of all priors."""
-    kept = [list(target.names).index(name) for name in names]
+    index = [list(target.names).index(name) for name in names]
     wide = np.ones(len(target.names))
-    wide[kept] = WIDTH**-2
-    return kept, wide
+    wide[index] = WIDTH**-2
+    return index, wide
 
 
 @eqx.filter_jit
-def _held(
+def _constrained_fit(
     problem: Problem,
     z: Float[Array, " free"],
-    wide: Float[Array, " free"],
-    held: Int[Array, " places"],
-    at: Float[Array, " places"],
-    hold: Float[Array, " places"],
+    prior_precision: Float[Array, " free"],
+    indices: Int[Array, " places"],
+    targets: Float[Array, " places"],
+    stiffness: Float[Array, " places"],
 ) -> tuple[Float[Array, "places free"], Float[Array, "places free free"]]:
     """Fit with one coordinate held, and the precision without the hold."""
     free = z.size
 
-    def residuals(x, weight, given):
-        problem, stiff, value = given
+    def residuals(x, weight, args):
+        problem, stiff, value = args
         data, _, _ = problem.evaluated(x)
-        return jnp.concatenate([data, jnp.sqrt(wide) * x, stiff * (x - value)]), None
+        return jnp.concatenate([data, jnp.sqrt(prior_precision) * x, stiff * (x - value)]), None
 
-    def one(index, value, hold):
-        stiff = jnp.where(jnp.arange(free) == index, hold, 0.0)
+    def one(index, value, stiffness):
+        stiff = jnp.where(jnp.arange(free) == index, stiffness, 0.0)
         start = jnp.where(stiff > 0, value, z)
         search = levenberg_marquardt(1e-3, 1e-3)
         best = least_squares(residuals, (problem, stiff, value), start, solver=search, max_steps=30)
         jacobian = best.jacobian[:-free]
         return best.x, jacobian.T @ jacobian
 
-    return eqx.filter_vmap(one)(held, at, hold)
+    return eqx.filter_vmap(one)(indices, targets, stiffness)
 
 
 def _spread(x: np.ndarray) -> np.ndarray:
@@ -207,9 +209,9 @@ def _moments(z, covariance) -> Start:
     between = np.cov(z.T).reshape(covariance.shape[1:])
     spread = np.sqrt(np.diag(between)).clip(0.02, 2.5)
     guess = np.concatenate([z.mean(axis=0), norm.isf(2 * norm.sf(spread))])
-    free, wide = len(spread), 0.09 * np.eye(len(guess))
-    wide[:free, :free] = (between + covariance.mean(axis=0)) / len(z)
-    return Start(guess, wide)
+    free, covariances = len(spread), 0.09 * np.eye(len(guess))
+    covariances[:free, :free] = (between + covariance.mean(axis=0)) / len(z)
+    return Start(guess, covariances)
 
 
 def _precision(covariance: np.ndarray, width: float) -> np.ndarray:
@@ -219,7 +221,7 @@ def _precision(covariance: np.ndarray, width: float) -> np.ndarray:
     return (vectors * np.maximum(values, 0)) @ vectors.T
 
 
-def _kept_share(spread: np.ndarray, precision: np.ndarray) -> np.ndarray:
+def _own_share(spread: np.ndarray, precision: np.ndarray) -> np.ndarray:
     """Shares (T⁻¹ + L)⁻¹ L of an eye's own values that are left."""
     scaled = spread[:, None] * precision
     inner = np.eye(len(spread)) + scaled * spread
@@ -237,9 +239,9 @@ def _likelihood(mixture: Mixture, width: float) -> Callable[[np.ndarray, np.ndar
     precision = np.stack([_precision(c, width) for c in mixture.covariances])
     free = precision.shape[1]
     error = np.linalg.inv(precision + _LEAST * np.eye(free))
-    measured = np.einsum("kij,kj->ki", error, information)
+    means = np.einsum("kij,kj->ki", error, information)
     constant = np.log(mixture.shares) - 0.5 * (information * mixture.means).sum(axis=1)
-    constant += 0.5 * (information * measured).sum(axis=1)
+    constant += 0.5 * (information * means).sum(axis=1)
     constant += 0.5 * (np.linalg.slogdet(inverse)[1] + np.linalg.slogdet(error)[1])
 
     def likelihood(mean, spread):
@@ -247,10 +249,10 @@ def _likelihood(mixture: Mixture, width: float) -> Callable[[np.ndarray, np.ndar
         log = np.repeat(constant[:, None], len(mean), axis=1)
         factor, white = {}, []
         for j in range(free):
-            square = error[:, j, j, None] + spread[:, j] ** 2
-            root = np.sqrt(square - sum(factor[j, k] ** 2 for k in range(j)))
-            off = measured[:, j, None] - mean[:, j]
-            white.append((off - sum(factor[j, k] * white[k] for k in range(j))) / root)
+            variance = error[:, j, j, None] + spread[:, j] ** 2
+            root = np.sqrt(variance - sum(factor[j, k] ** 2 for k in range(j)))
+            deviation = means[:, j, None] - mean[:, j]
+            white.append((deviation - sum(factor[j, k] * white[k] for k in range(j))) / root)
             log -= np.log(root) + 0.5 * white[j] ** 2
             for i in range(j + 1, free):
                 inner = sum(factor[i, k] * factor[j, k] for k in range(j))

@@ -135,31 +135,31 @@ def sample(
             too few walkers; with `throw`, for a chain that is not long enough.
     """
     check_run(target, store, walkers=walkers, resume=resume, key=key)
-    kept, log_density = Store(store), target.log_density
+    storage, log_density = Store(store), target.log_density
     report = progress or (lambda steps, word: None)
-    if kept.start is None:
-        kept.begin(_first(target, start, walkers, key, report))
+    if storage.start is None:
+        storage.begin(_initial_ensemble(target, start, walkers, key, report))
     while True:
-        chain = kept.start
+        chain = storage.start
         assert chain is not None
         if chain.number < len(_BURN_IN):
             most = _BURN_IN[chain.number]
-            _advance(kept, chain, most, log_density, key, report, "burn-in")
-            _replace(kept, chain, kept.rows(most // 2, most)[0])
+            _advance(storage, chain, most, log_density, key, report, "burn-in")
+            _replace(storage, chain, storage.rows(most // 2, most)[0])
             continue
-        most = min(kept.planned or _FIRST_LOOK, max_steps)
-        _advance(kept, chain, most, log_density, key, report, "sampling")
-        chains = diagnose(kept)
+        most = min(storage.planned or _FIRST_LOOK, max_steps)
+        _advance(storage, chain, most, log_density, key, report, "sampling")
+        chains = diagnose(storage)
         if chains.converged or chains.steps >= max_steps:
             break
         needed = 1.05 * TAUS * chains.tau.max()  # NaN of a walker that never moved, which may yet
         planned = np.nan_to_num(needed, nan=np.inf)
-        kept.planned = int(np.clip(planned, chains.steps + _BETWEEN_LOOKS, 1.5 * chains.steps))
+        storage.planned = int(np.clip(planned, chains.steps + _BETWEEN_LOOKS, 1.5 * chains.steps))
         replaced = chain.number - len(_BURN_IN)
         patience = _PATIENCE * 2**replaced
         if replaced < _REPLACED and (chains.steps >= patience or needed > patience):
             every = -(-chains.steps * walkers // _ADAPTED_TO)
-            _replace(kept, chain, kept.rows(every - 1, chains.steps, every)[0])
+            _replace(storage, chain, storage.rows(every - 1, chains.steps, every)[0])
     if throw and not chains.converged:
         raise ValueError(chains.reason)
     return chains
@@ -175,9 +175,9 @@ def check_run(
 ) -> None:
     """Raise, before any work, the `ValueError` that `sample` would raise for its arguments."""
     free = len(target.names)
-    if walkers < (least := 2 * free + 2):
-        said = f"{walkers} walkers are too few for {free} free parameters"
-        raise ValueError(f"{said}; give at least {least}")
+    if walkers < (minimum := 2 * free + 2):
+        message = f"{walkers} walkers are too few for {free} free parameters"
+        raise ValueError(f"{message}; give at least {minimum}")
     if store is None or not Path(store).exists():
         return
     if not resume:
@@ -186,10 +186,10 @@ def check_run(
     assert start is not None
     same = start.owner == _owner(target, key) and start.places.shape == (walkers, free)
     # A chain belongs to the density that its walkers had where they started.
-    near = {"rtol": 1e-9, "atol": 1e-9, "equal_nan": True}
-    if not same or not np.allclose(target.log_density(start.places), start.log_density, **near):
-        said = "made from other data or settings; it cannot be resumed with these"
-        raise ValueError(f"{store}: {said}")
+    limits = {"rtol": 1e-9, "atol": 1e-9, "equal_nan": True}
+    if not same or not np.allclose(target.log_density(start.places), start.log_density, **limits):
+        message = "made from other data or settings; it cannot be resumed with these"
+        raise ValueError(f"{store}: {message}")
 
 
 def diagnose(store: Store) -> Chains:
@@ -214,16 +214,16 @@ def diagnose(store: Store) -> Chains:
         reason = f"{steps} steps are {steps / np.max(tau):.0f} autocorrelation times, not {TAUS}"
     elif not (bulk.min() >= ESS and tail.min() >= ESS / 2):
         status = ChainStatus.few_effective_samples
-        found = f"{bulk.min():.0f} ({tail.min():.0f} of the tails)"
-        reason = f"effective samples {found}, not {ESS} ({ESS // 2})"
+        counts = f"{bulk.min():.0f} ({tail.min():.0f} of the tails)"
+        reason = f"effective samples {counts}, not {ESS} ({ESS // 2})"
     elif not rhat.max() <= RHAT:
         status, reason = ChainStatus.not_mixed, f"R-hat {rhat.max():.3f}, not {RHAT}"
     thin = max(1, int(tau.min() / 2 / stride)) if np.isfinite(tau).all() else 1
-    last, _ = store.rows(max(0, steps - _MOST_KEPT), steps)
-    acceptance = float((last[1:] != last[:-1]).any(axis=-1).mean()) if steps > 1 else np.nan
-    kept = slice(thin - 1, None, thin)
+    recent, _ = store.rows(max(0, steps - _MOST_KEPT), steps)
+    acceptance = float((recent[1:] != recent[:-1]).any(axis=-1).mean()) if steps > 1 else np.nan
+    rows = slice(thin - 1, None, thin)
     return Chains(
-        z[kept], log_density[kept], thin * stride, steps, acceptance, tau, bulk, tail, rhat,
+        z[rows], log_density[rows], thin * stride, steps, acceptance, tau, bulk, tail, rhat,
         status, reason,
     )  # fmt: skip
 
@@ -237,19 +237,21 @@ def mixing(draws: Float[np.ndarray, "chains draws"]) -> tuple[float, float, floa
     return float(stats.rhat(draws)), float(bulk), float(tail)
 
 
-def _first(target: Density, start: Approximation, walkers: int, key: PRNGKey, report) -> ChainStart:
+def _initial_ensemble(
+    target: Density, start: Approximation, walkers: int, key: PRNGKey, report
+) -> ChainStart:
     """The walkers' first places, and the samples that their jumps are adapted to."""
     random = np.random.RandomState([*words_of(key), 1 << 31])
 
     def progress(rounds: int) -> None:
         report(0, "importance sampling")
 
-    found = importance_sample(target.log_density, start, random, progress)
-    places = found.samples[random.choice(len(found.samples), walkers, walkers > DRAWS)]
+    proposal = importance_sample(target.log_density, start, random, progress)
+    places = proposal.samples[random.choice(len(proposal.samples), walkers, walkers > DRAWS)]
     # Differences of walkers on one spot would be zero.
-    apart = random.standard_normal(places.shape)
-    places = places + 1e-3 * found.samples.std(axis=0) * apart
-    number, adapted_to = (len(_BURN_IN), found.samples) if found.enough else (0, None)
+    jitter = random.standard_normal(places.shape)
+    places = places + 1e-3 * proposal.samples.std(axis=0) * jitter
+    number, adapted_to = (len(_BURN_IN), proposal.samples) if proposal.enough else (0, None)
     log_density = np.asarray(target.log_density(places), float)
     return ChainStart(_owner(target, key), number, 0, places, log_density, adapted_to)
 

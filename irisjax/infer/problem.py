@@ -115,22 +115,22 @@ class Problem(eqx.Module):
     def reported(self, z: _Z) -> dict[str, Any]:
         """Return free and derived parameters by name, for each observation that has its own."""
         values = self.values(z)
-        out = {name: values[name] for name in self.free}
+        results = {name: values[name] for name in self.free}
         for i in range(len(self.observations)):
-            tag = f"@{i + 1}" if any("@" in n for n in self.free) else ""
-            out |= {
-                name + tag: value
-                for name, value in parameters.derived(parameters.seen_by(values, i)).items()
+            suffix = f"@{i + 1}" if any("@" in n for n in self.free) else ""
+            results |= {
+                name + suffix: value
+                for name, value in parameters.derived(parameters.of_observation(values, i)).items()
             }
-        return out
+        return results
 
     def predict(self, z: _Z) -> _Readings:
         """Compute the reading of each instrument without noise."""
-        return self._solved(self.values(z))[0]
+        return self._solve(self.values(z))[0]
 
     def status(self, z: _Z) -> RESULTS:
         """Return the solver's status at z: the first that is not success."""
-        return self._solved(self.values(z))[1]
+        return self._solve(self.values(z))[1]
 
     def pointwise(self, z: _Z) -> Float[Array, " all_data"]:
         """Compute the log likelihood of every value, observations concatenated."""
@@ -156,7 +156,7 @@ class Problem(eqx.Module):
 
     def evaluated(self, z: _Z) -> tuple[Float[Array, " all_data"], _Readings, RESULTS]:
         """Return residuals in units of the stated noise, `predict` and `status` at once."""
-        models, status = self._solved(self.values(z))
+        models, status = self._solve(self.values(z))
         pairs = zip(self.observations, models, strict=True)
         return jnp.concatenate([self.noise.whiten(o, m) for o, m in pairs]), models, status
 
@@ -164,10 +164,10 @@ class Problem(eqx.Module):
         """Simulate one noisy measurement for each observation, with z as the truth."""
         draws, nu = [], self.noise.degrees_of_freedom
         for i, o in enumerate(self.observations):
-            one, two = jax.random.split(jax.random.fold_in(key, i))
+            normal_key, gamma_key = jax.random.split(jax.random.fold_in(key, i))
             shape = o.values.shape[-1:]
-            square = None if nu is None else 2 * jax.random.gamma(two, nu / 2, shape)
-            draws.append((jax.random.normal(one, shape), square))
+            chi_square = None if nu is None else 2 * jax.random.gamma(gamma_key, nu / 2, shape)
+            draws.append((jax.random.normal(normal_key, shape), chi_square))
         return self.simulated(z, draws)[0]
 
     def simulated(self, z: _Z, draws: Sequence[Any]) -> tuple[_Readings, ...]:
@@ -176,9 +176,9 @@ class Problem(eqx.Module):
         of each observation.
         """
         models, values = self.predict(z), self.values(z)
-        measured = self._with_noise(self.noise.draw, values, models, draws)
-        beside = (self.noise.stated, self.noise.pointwise)
-        return measured, models, *(self._with_noise(f, values, models) for f in beside)
+        measurement = self._with_noise(self.noise.draw, values, models, draws)
+        functions = (self.noise.stated, self.noise.pointwise)
+        return measurement, models, *(self._with_noise(f, values, models) for f in functions)
 
     def log_priors(self, z: _Z) -> _Z:
         """Compute the log prior density of the value of each free parameter."""
@@ -186,8 +186,8 @@ class Problem(eqx.Module):
 
     def unnamed(self) -> "Problem":
         """Return the problem without names of observations, so that files share one program."""
-        seen = tuple(dataclasses.replace(o, name="") for o in self.observations)
-        return dataclasses.replace(self, observations=seen)
+        observations = tuple(dataclasses.replace(o, name="") for o in self.observations)
+        return dataclasses.replace(self, observations=observations)
 
     def with_observations(self, *observations: Observation) -> "Problem":
         """Return the problem for other values, possibly traced, on the same wavelengths."""
@@ -196,30 +196,30 @@ class Problem(eqx.Module):
     def by(self, process: AbstractProcess) -> "Problem":
         """Return the problem for another process, with the table of that process."""
         base = self.base.replace(power_law=None) if isinstance(process, Ilit) else self.base
-        return self._restated(base, process)
+        return self._restate(base, process)
 
     def under(self, law: PowerLaw | None) -> "Problem":
         """Return the problem by radiative transfer with a power law of scattering (`None`: none),
         whose four numbers become free with their default priors in place of `scattering_scale`.
         """
         base = self.base.replace(power_law=law, scattering_scale=1.0)
-        return self._restated(base, DEPTH_RESOLVED, () if law is None else OF_POWER_LAW)
+        return self._restate(base, DEPTH_RESOLVED, () if law is None else OF_POWER_LAW)
 
-    def _restated(
-        self, base: Iris, process: AbstractProcess, more: Iterable[str] = ()
+    def _restate(
+        self, base: Iris, process: AbstractProcess, extra: Iterable[str] = ()
     ) -> "Problem":
         """The problem for another iris and process, with `more` parameters free."""
-        gone = () if base.power_law is not None else OF_POWER_LAW
-        gone = (*gone, "scattering_scale") if more else gone
-        old = zip(self.free, self.priors, strict=True)
-        free = {n: p for n, p in old if kind(n) not in gone}
-        free |= {n: PARAMETERS[n].prior for n in more if n not in set(map(kind, free))}
-        stated = {
+        excluded = () if base.power_law is not None else OF_POWER_LAW
+        excluded = (*excluded, "scattering_scale") if extra else excluded
+        pairs = zip(self.free, self.priors, strict=True)
+        free = {n: p for n, p in pairs if kind(n) not in excluded}
+        free |= {n: PARAMETERS[n].prior for n in extra if n not in set(map(kind, free))}
+        constants = {
             n: v for n, v in parameters.of_iris(base).items() if n not in set(map(kind, free))
         }
-        known = {n: v for n, v in self.fixed.items() if n in stated and n not in gone}
+        fixed = {n: v for n, v in self.fixed.items() if n in constants and n not in excluded}
         return dataclasses.replace(
-            self, base=base, fixed=_as_arrays(stated) | known, free=tuple(free),
+            self, base=base, fixed=_as_arrays(constants) | fixed, free=tuple(free),
             priors=tuple(free.values()),
             solvers=solvers_of(base, self.observations, process, free),
         )  # fmt: skip
@@ -228,20 +228,20 @@ class Problem(eqx.Module):
         self, function: Callable[..., Any], values: Any, models: _Readings, draws: Any = None
     ) -> tuple[Any, ...]:
         """A function of the noise for each observation."""
-        each = zip(self.observations, models, draws or [()] * len(models), strict=True)
+        cases = zip(self.observations, models, draws or [()] * len(models), strict=True)
         return tuple(
-            function(o, m, parameters.seen_by(values, i)["noise"], *d)
-            for i, (o, m, d) in enumerate(each)
+            function(o, m, parameters.of_observation(values, i)["noise"], *d)
+            for i, (o, m, d) in enumerate(cases)
         )
 
-    def _solved(self, values: Mapping[str, Any]) -> tuple[_Readings, RESULTS]:
+    def _solve(self, values: Mapping[str, Any]) -> tuple[_Readings, RESULTS]:
         """The reading of each instrument, and the first status that is not success."""
         models, status = [], RESULTS.successful
         for i, (o, solver) in enumerate(zip(self.observations, self.solvers, strict=True)):
-            mine, instrument = parameters.seen_by(values, i), o.instrument
-            gain = jnp.asarray(mine["gain"], instrument.gain.dtype)
+            local, instrument = parameters.of_observation(values, i), o.instrument
+            gain = jnp.asarray(local["gain"], instrument.gain.dtype)
             instrument = eqx.tree_at(lambda x: x.gain, instrument, gain)
-            reading = observed(parameters.iris_of(mine, self.base), instrument, solver)
+            reading = observed(parameters.iris_of(local, self.base), instrument, solver)
             models.append(o.of(reading))
             status = RESULTS.where(status == RESULTS.successful, reading.status, status)
         return tuple(models), status
@@ -279,9 +279,9 @@ def problem(
     Raises:
         ValueError: For wrong names or values, and more than 1,000 of these with a discrepancy.
     """
-    seen = (observations,) if isinstance(observations, Observation) else tuple(observations)
+    data = (observations,) if isinstance(observations, Observation) else tuple(observations)
     fixed, priors, separate = dict(fixed or {}), dict(priors or {}), tuple(separate)
-    if not seen:
+    if not data:
         raise ValueError("no observations")
     for name in (*(free or ()), *fixed, *priors, *separate):
         check_known("parameter", name, PARAMETERS)
@@ -289,8 +289,8 @@ def problem(
         check_range(name, value, PARAMETERS[name].allowed)
         if free is not None and name in free:
             raise ValueError(f"{name} is both free and fixed")
-    asked = DEFAULT_FREE if free is None else tuple(free)
-    names = [n for n in PARAMETERS if n in asked and n not in fixed]
+    requested = DEFAULT_FREE if free is None else tuple(free)
+    names = [n for n in PARAMETERS if n in requested and n not in fixed]
     if not names:
         raise ValueError(f"nothing is free; choose from {', '.join(PARAMETERS)}")
     for name in (*priors, *separate):
@@ -300,37 +300,37 @@ def problem(
         check_prior(f"{name} ~ {prior}", prior, *PARAMETERS[name].support)
     expanded: list[str] = []
     for n in names:
-        expanded += [f"{n}@{i + 1}" for i in range(len(seen))] if n in separate else [n]
-    most = max(o.values.shape[-1] for o in seen)
+        expanded += [f"{n}@{i + 1}" for i in range(len(data))] if n in separate else [n]
+    largest = max(o.values.shape[-1] for o in data)
     noise = Noise() if noise is None else noise
-    correlated = any(o.correlation_root is not None and not o.is_colour for o in seen)
+    correlated = any(o.correlation_root is not None and not o.is_colour for o in data)
     if correlated and noise.degrees_of_freedom is not None:
         raise ValueError("correlated errors and Student's t do not go together; choose one")
-    if (correlated or noise.discrepancy is not None) and most > _MOST_CORRELATED:
+    if (correlated or noise.discrepancy is not None) and largest > _MOST_CORRELATED:
         to_do = f"average neighbouring wavelengths, to {_MOST_CORRELATED} values at most"
-        what = "correlation" if correlated else "discrepancy"
-        raise ValueError(f"a {what} takes a matrix of {most} by {most} a walker; {to_do}")
+        cause = "correlation" if correlated else "discrepancy"
+        raise ValueError(f"a {cause} takes a matrix of {largest} by {largest} a walker; {to_do}")
     base = Iris() if base is None else base
     if process is not None and solver is not None:
         raise ValueError("a solver has a process: give process or solver, not both")
-    by = solver or process or ILIT_2006
-    base = _with_law(base, by.process if isinstance(by, AbstractSolver) else by, (*names, *fixed))
-    known = {n: v for n, v in {**parameters.of_iris(base), **fixed}.items() if n not in names}
-    every = {n: priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded}
-    solvers = solvers_of(base, seen, by, every)
+    process = solver.process if solver else process or ILIT_2006
+    base = _with_law(base, process, (*names, *fixed))
+    values = {n: v for n, v in {**parameters.of_iris(base), **fixed}.items() if n not in names}
+    by_name = {n: priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded}
+    solvers = solvers_of(base, data, solver or process, by_name)
     return Problem(
-        seen, noise, base, _as_arrays(known), solvers, tuple(every), tuple(every.values())
+        data, noise, base, _as_arrays(values), solvers, tuple(by_name), tuple(by_name.values())
     )
 
 
 def elements(problem: Problem) -> int:
     """Return the size of the largest array that one evaluation makes."""
     sizes = [max(o.instrument.wavelengths.size, o.values.shape[-1]) for o in problem.observations]
-    each = max(solver.numbers_per_wavelength for solver in problem.solvers)
+    per_wavelength = max(solver.numbers_per_wavelength for solver in problem.solvers)
     # A correlated error takes a matrix.
     correlated = any(o.correlation_root is not None for o in problem.observations)
     noise = max(sizes) ** 2 if correlated or problem.noise.discrepancy is not None else 0
-    return max(noise, sum(sizes) * each)
+    return max(noise, sum(sizes) * per_wavelength)
 
 
 def pointwise(
@@ -363,13 +363,13 @@ def predicted(problem: Problem, z: Float[np.ndarray, "n free"], key: PRNGKey) ->
         (random.standard_normal(n), None if nu is None else random.chisquare(nu, n)) for n in shapes
     ]
     nameless, rows = problem.unnamed(), min(len(z), _PREDICTED)
-    return map_rows(lambda some: _predicted(nameless, *some), (z, draws), rows)
+    return map_rows(lambda chunk: _predicted(nameless, *chunk), (z, draws), rows)
 
 
 @eqx.filter_jit
 def _predicted(problem: Problem, z: Float[Array, "n free"], draws: Any) -> Any:
-    def one(each):
-        return *problem.simulated(*each), problem.log_priors(each[0])
+    def one(row):
+        return *problem.simulated(*row), problem.log_priors(row[0])
 
     return vmap_in_pieces(one, (z, draws), elements(problem))
 
@@ -384,8 +384,8 @@ def _densities(problem: Problem, z: Float[Array, "n free"]) -> Any:
     """Log posterior densities (n,), and log likelihoods of every value (n, all data)."""
 
     def one(x):
-        each = problem.pointwise(x)
-        return problem.with_prior(each.sum(), x), each
+        terms = problem.pointwise(x)
+        return problem.with_prior(terms.sum(), x), terms
 
     return vmap_in_pieces(one, z, elements(problem))
 
@@ -394,8 +394,8 @@ def _with_law(base: Iris, process: AbstractProcess, names: Iterable[str]) -> Iri
     """`base`, with a power law where one of its numbers is a parameter."""
     law = [n for n in names if n in OF_POWER_LAW]
     if isinstance(process, Ilit) and (law or base.power_law is not None):
-        said = "is of radiative transfer (depth-resolved); ILIT has its own formula of scattering"
-        raise ValueError(f"{law[0] if law else 'power_law'} {said}")
+        reason = "is of radiative transfer (depth-resolved); ILIT has its own formula of scattering"
+        raise ValueError(f"{law[0] if law else 'power_law'} {reason}")
     if "reduced_scattering" in law and "scattering_scale" in names:
         raise ValueError("reduced_scattering and scattering_scale are one factor: state one")
     return base.replace(power_law=PowerLaw()) if law and base.power_law is None else base
@@ -411,23 +411,23 @@ def solvers_of(
     with parameters of these priors free.
     """
     # The most that scatters: outside its range a table extrapolates, and a chain would not know.
-    far, wide = jnp.asarray(_FAR), {kind(n): p for n, p in free.items() if kind(n) in _DEEPENING}
-    deepest = {name: float(prior.value(far)) for name, prior in wide.items()}
-    most, found = base.replace(melanin_load=0.0, **deepest) if wide else base, []
+    z, priors = jnp.asarray(_FAR), {kind(n): p for n, p in free.items() if kind(n) in _DEEPENING}
+    deepest = {name: float(prior.value(z)) for name, prior in priors.items()}
+    iris, solvers = base.replace(melanin_load=0.0, **deepest) if priors else base, []
     for instrument in (o.instrument for o in observations):
         if isinstance(by, AbstractSolver):
             solver = by
         else:
             solver = defaults.quickest(base, instrument.media.aqueous, by)
-            if isinstance(solver, RadiativeTabulated) and wide:
-                held = _holds(solver, most, instrument)
-                solver = solver if held else RadiativeExact(16, 8)
-        found.append(Pointwise(prepared(most, instrument, solver)))
-    return tuple(found)
+            if isinstance(solver, RadiativeTabulated) and priors:
+                covered = _covers(solver, iris, instrument)
+                solver = solver if covered else RadiativeExact(16, 8)
+        solvers.append(Pointwise(prepared(iris, instrument, solver)))
+    return tuple(solvers)
 
 
 @eqx.filter_jit
-def _holds(table: RadiativeTabulated, iris: Iris, instrument: AbstractInstrument) -> Array:
+def _covers(table: RadiativeTabulated, iris: Iris, instrument: AbstractInstrument) -> Array:
     return table.holds(iris.layers(instrument.pigments, instrument.media.aqueous))
 
 

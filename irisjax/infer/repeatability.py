@@ -53,12 +53,12 @@ def intraclass_correlation(x: Float[np.ndarray, "subjects raters"]) -> Intraclas
     icc = (bms - ems) / (bms + (k - 1) * ems + k * (jms - ems) / n)
     f = jms / ems
     # Satterthwaite's degrees of freedom of the denominator.
-    own = n * (1 + (k - 1) * icc) - k * icc
-    v = degrees * (k * icc * f + own) ** 2 / ((n - 1) * k**2 * icc**2 * f**2 + own**2)
-    raised, lowered = stats.f.ppf(_TAIL, n - 1, v), stats.f.ppf(_TAIL, v, n - 1)
-    rest = k * jms + (k * n - k - n) * ems
-    low = n * (bms - raised * ems) / (raised * rest + n * bms)
-    high = n * (lowered * bms - ems) / (rest + n * lowered * bms)
+    part = n * (1 + (k - 1) * icc) - k * icc
+    v = degrees * (k * icc * f + part) ** 2 / ((n - 1) * k**2 * icc**2 * f**2 + part**2)
+    f_high, f_low = stats.f.ppf(_TAIL, n - 1, v), stats.f.ppf(_TAIL, v, n - 1)
+    remainder = k * jms + (k * n - k - n) * ems
+    low = n * (bms - f_high * ems) / (f_high * remainder + n * bms)
+    high = n * (f_low * bms - ems) / (remainder + n * f_low * bms)
     return IntraclassCorrelation(Interval(float(icc), float(low), float(high)), consistency)
 
 
@@ -68,7 +68,7 @@ def agreement(first: Float[np.ndarray, " n"], second: Float[np.ndarray, " n"]) -
     n, sd = difference.size, float(difference.std(ddof=1))
     bias = float(difference.mean())
     t = float(stats.t.ppf(_TAIL, n - 1))
-    found = [
+    intervals = [
         Interval(x, x - t * error, x + t * error)
         for x, error in (
             (bias, sd / np.sqrt(n)),
@@ -76,4 +76,4 @@ def agreement(first: Float[np.ndarray, " n"], second: Float[np.ndarray, " n"]) -
             (bias + 1.96 * sd, sd * np.sqrt(3 / n)),
         )
     ]
-    return Agreement(*found)
+    return Agreement(*intervals)

@@ -48,8 +48,8 @@ class Store:
             try:
                 self._read(self.path)
             except (OSError, KeyError) as error:
-                said = f"damaged ({error}); remove it and start again"
-                raise ValueError(f"{self.path}: {said}") from None
+                message = f"damaged ({error}); remove it and start again"
+                raise ValueError(f"{self.path}: {message}") from None
 
     @property
     def steps(self) -> int:
@@ -70,8 +70,8 @@ class Store:
 
     def rows(self, first: int, last: int, every: int = 1) -> tuple[np.ndarray, np.ndarray]:
         """Places (steps, walkers, free) and log densities (steps, walkers) of a range of steps."""
-        part = slice(first, last, every)
-        return np.array(self._places[part]), np.array(self._log_density[part])
+        selection = slice(first, last, every)
+        return np.array(self._places[selection]), np.array(self._log_density[selection])
 
     def last(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the walkers' last places, and the log densities there."""
@@ -92,9 +92,9 @@ class Store:
         with unfinished(self.path.with_name(f".{self.path.name}.{os.getpid()}.tmp")) as temporary:
             try:
                 with h5py.File(temporary, "w") as file:
-                    about = {"owner": start.owner, "number": start.number}
-                    about |= {"steps_before": start.steps_before, "planned": self.planned}
-                    file.attrs.update(about)
+                    attributes = {"owner": start.owner, "number": start.number}
+                    attributes |= {"steps_before": start.steps_before, "planned": self.planned}
+                    file.attrs.update(attributes)
                     for name, array in arrays.items():
                         file[name] = np.asarray(array)
                 os.replace(temporary, self.path)
@@ -103,10 +103,10 @@ class Store:
 
     def _read(self, path: Path) -> None:
         with h5py.File(path) as file:
-            about: dict[str, Any] = dict(file.attrs)
-            held = {name: np.asarray(values) for name, values in file.items()}
-        places = held["places"], held["places_log_density"], held.get("adapted_to")
-        counts = int(about["number"]), int(about["steps_before"])
-        self.start = ChainStart(str(about["owner"]), *counts, *places)
-        self.planned = int(about["planned"])
-        self._places, self._log_density = list(held["chain"]), list(held["log_density"])
+            attributes: dict[str, Any] = dict(file.attrs)
+            arrays = {name: np.asarray(values) for name, values in file.items()}
+        places = arrays["places"], arrays["places_log_density"], arrays.get("adapted_to")
+        counts = int(attributes["number"]), int(attributes["steps_before"])
+        self.start = ChainStart(str(attributes["owner"]), *counts, *places)
+        self.planned = int(attributes["planned"])
+        self._places, self._log_density = list(arrays["chain"]), list(arrays["log_density"])

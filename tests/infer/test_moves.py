@@ -37,8 +37,8 @@ def test_a_curved_ridge_is_straightened():
 
     straight = Straightening.of_samples(bent(4000))
     z = bent(4000)
-    y = straight.to(z)
-    np.testing.assert_allclose(straight.back(y), z, rtol=0, atol=1e-12)
+    y = straight.forward(z)
+    np.testing.assert_allclose(straight.inverse(y), z, rtol=0, atol=1e-12)
 
     def log_p(z):
         thin = (z[:, 1] - 0.1 * z[:, 0] ** 2 + 0.4 * z[:, 0]) / 0.03
@@ -53,6 +53,6 @@ def test_a_curved_ridge_is_straightened():
     # out.
     volumes = []
     for place in np.concatenate([z[:5], 3 * z[5:10], [[9.0, -7.0, 8.0]]]):
-        there, back = (straight.to(place + step * np.eye(3)) for step in (1e-6, -1e-6))
+        there, back = (straight.forward(place + step * np.eye(3)) for step in (1e-6, -1e-6))
         volumes.append(np.linalg.det((there - back) / 2e-6))
     np.testing.assert_allclose(volumes, volumes[0], rtol=1e-5)
