@@ -74,9 +74,9 @@ def table_for(indices: RefractiveIndices, process: AbstractProcess) -> AbstractS
             transfer.
     """
     key = *_key(indices), process
-    found = _read(*key)
-    if found is not None:
-        return found
+    table = _read(*key)
+    if table is not None:
+        return table
     if not isinstance(process, Ilit):
         raise ValueError("the table of radiative transfer has LB06's indices; use RadiativeExact")
     return _built(*key)
@@ -86,8 +86,8 @@ def shipped_table(indices: RefractiveIndices) -> RadiativeTabulated | None:
     """The table of radiative transfer in the package; `None` for other or traced indices."""
     if not is_known(indices):
         return None
-    found = _read(*_key(indices), DEPTH_RESOLVED)
-    return found if isinstance(found, RadiativeTabulated) else None
+    table = _read(*_key(indices), DEPTH_RESOLVED)
+    return table if isinstance(table, RadiativeTabulated) else None
 
 
 def _key(indices: RefractiveIndices) -> tuple[tuple[float, ...], str]:
@@ -116,12 +116,12 @@ def _read(indices: tuple[float, ...], dtype: str, process: AbstractProcess):
     # Kept for other callers: nothing of a trace that may be going on here.
     with jax.ensure_compile_time_eval():
         media = RefractiveIndices(*(jnp.asarray(n, dtype) for n in indices))
-        of = {name: jnp.asarray(x, dtype) for name, x in stored.items()}
+        npz = {name: jnp.asarray(x, dtype) for name, x in stored.items()}
     if ilit:
         error = float(stored["error"])
-        return IlitTabulated(of["abl"], of["stroma"], media, error, process=process)
+        return IlitTabulated(npz["abl"], npz["stroma"], media, error, process=process)
     out, ends, multiple = (
-        Tucker(tuple(of[f"{x}_{i}"] for i in range(of[f"{x}_core"].ndim - 1)), of[f"{x}_core"])
+        Tucker(tuple(npz[f"{x}_{i}"] for i in range(npz[f"{x}_core"].ndim - 1)), npz[f"{x}_core"])
         for x in ("out", "ends", "multiple")
     )
     error = float(stored[f"error_{dtype}"])

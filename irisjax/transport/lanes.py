@@ -98,11 +98,11 @@ class InLayer(NamedTuple):
         fate = jnp.where(leaves, self.pick(REFLECTED, IPE, BEHIND), fate)
         return jnp.where(mirrored, MIRRORED, fate)
 
-    def packed(
-        self, fate: Any, passes: Array, down: Array, mode: Any, turned: Any, events: Any
+    def pack(
+        self, fate: Any, passes: Array, down: Array, mode: Any, reverses: Any, events: Any
     ) -> Array:
         """`Photon.code` of photons that stay here or pass into the next layer."""
-        code = fate | mode << 4 | turned.astype(jnp.int32) << 31 | events << 7
+        code = fate | mode << 4 | reverses.astype(jnp.int32) << 31 | events << 7
         if self.in_ipe is None:
             return code | (self.in_abl ^ passes).astype(jnp.int32) << 3
         in_stroma = ~self.in_abl & ~self.in_ipe
@@ -141,30 +141,30 @@ def run_lanes(
         )
         if cells is not None:
             # A photon that left has no further use for its direction: it holds the cosine outside.
-            out, cosine = fate == REFLECTED, photon.direction
+            exits, cosine = fate == REFLECTED, photon.direction
             cell_tally = tuple(
-                count + (out & (cosine >= low) & (cosine < high)).astype(count.dtype)
+                count + (exits & (cosine >= low) & (cosine < high)).astype(count.dtype)
                 for count, (low, high) in zip(cell_tally, cells, strict=True)
             )
         direction = jnp.where(photon.code < 0, -photon.direction, photon.direction)
         code = photon.code & 0x7FFFFFFF
-        born = (fate > 0) & (i < last)
+        starts = (fate > 0) & (i < last)
         b0, b1 = fold_in_words(wave_words[0], wave_words[1], i.astype(jnp.uint32))
-        k0, k1 = jnp.where(born, b0, k0), jnp.where(born, b1, k1)
-        i = jnp.where(born, i + stride, i)
-        direction = jnp.where(born, 1.0, direction)
-        alive = born | (fate == 0)
-        code = jnp.where(born, newborn, code)
+        k0, k1 = jnp.where(starts, b0, k0), jnp.where(starts, b1, k1)
+        i = jnp.where(starts, i + stride, i)
+        direction = jnp.where(starts, 1.0, direction)
+        alive = starts | (fate == 0)
+        code = jnp.where(starts, newborn, code)
         words = fold_in_words(k0, k1, (code >> 7).astype(jnp.uint32))
-        after = event(Photon(direction, photon.depth, code), words, layers, scale)
+        update = event(Photon(direction, photon.depth, code), words, layers, scale)
         if cells is not None:
-            left = after.code & 7 == REFLECTED
-            outside = refract(jnp.abs(after.direction), layers.n_abl, layers.n_aqueous)
-            after = after._replace(direction=jnp.where(left, outside, after.direction))
-        after = after._replace(code=jnp.where(alive, after.code, RESTING))
-        return k0, k1, i, after, tally, cell_tally
+            emerges = update.code & 7 == REFLECTED
+            outside = refract(jnp.abs(update.direction), layers.n_abl, layers.n_aqueous)
+            update = update._replace(direction=jnp.where(emerges, outside, update.direction))
+        update = update._replace(code=jnp.where(alive, update.code, RESTING))
+        return k0, k1, i, update, tally, cell_tally
 
-    def running(state):
+    def active(state):
         return jnp.any((state[3].code & 7 != RESTING) | (state[2] < last))
 
     resting = Photon(jnp.ones_like(zero), zero if deep else None, nothing + RESTING)
@@ -172,7 +172,7 @@ def run_lanes(
     fates = len(FATES) - (layers.ipe is None)
     state = (*wave_words, start, resting, (nothing,) * fates, cell_tally)
     state = vary_alike(state, last, layers, cells)
-    *_, tally, cell_tally = lax.while_loop(running, body, state)
+    *_, tally, cell_tally = lax.while_loop(active, body, state)
     return jnp.stack(tally, -1), None if cell_tally is None else jnp.stack(cell_tally, -1)
 
 

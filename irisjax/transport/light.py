@@ -67,8 +67,8 @@ def beams_of(
     for which the nodes are shared out where the aqueous humour is denser than what lies beyond.
     """
     if light.cosine is None:
-        beyond = (indices.abl, indices.stroma, indices.ipe)[:interfaces]
-        breaks = [critical_cosine_squared(indices.aqueous, n) for n in beyond]
+        media = (indices.abl, indices.stroma, indices.ipe)[:interfaces]
+        breaks = [critical_cosine_squared(indices.aqueous, n) for n in media]
         rule = cosine_rule(jnp.asarray(breaks, dtype), (True,) * interfaces, nodes, entering=True)
         shares = 2 * rule.cosine * rule.weight
         return rule.cosine, shares / shares.sum()

@@ -74,8 +74,8 @@ class MonteCarlo(AbstractSolver):
         if self.lanes is not None:
             check_whole("lanes", self.lanes, 16)
         if not isinstance(self.process, (Ilit, RadiativeTransfer)):
-            said = f"MonteCarlo has no events of {self.process!r}"
-            raise ValueError(f"{said}; known: Ilit, RadiativeTransfer")
+            message = f"MonteCarlo has no events of {self.process!r}"
+            raise ValueError(f"{message}; known: Ilit, RadiativeTransfer")
         if self.process.polarised:
             raise ValueError("MonteCarlo does not treat polarised light; use RadiativeExact")
 
@@ -104,9 +104,9 @@ class MonteCarlo(AbstractSolver):
         cells = None if light.exits is None else _cells(light.exits)
         power = jnp.ones_like(layers.extinction) if light.power is None else light.power
         share = (power / jnp.max(power)).astype(jnp.result_type(float))
-        wanted = jnp.maximum(jnp.ceil(self.n_photons * share), 1).astype(jnp.int32)
+        numbers = jnp.maximum(jnp.ceil(self.n_photons * share), 1).astype(jnp.int32)
         start = jnp.asarray(first, jnp.int32)
-        end = wanted if last is None else jnp.minimum(jnp.asarray(last, jnp.int32), wanted)
+        end = numbers if last is None else jnp.minimum(jnp.asarray(last, jnp.int32), numbers)
         mirrored = first_surface(light, layers.indices, layers.extinction.dtype)[0]
         incidence = -1.0 if light.cosine is None else light.cosine
         return call_with_layout(
@@ -123,19 +123,19 @@ class MonteCarlo(AbstractSolver):
         n, fates = counts.photons.astype(dtype)[:, None], counts.fates.astype(dtype)
         brdf = brdf_error = None
         if counts.exits is not None and exits is not None:
-            cells, seen = _cells(exits).astype(dtype), counts.exits.astype(dtype)
+            cells, exit_counts = _cells(exits).astype(dtype), counts.exits.astype(dtype)
             scale = jnp.pi * (cells[:, 1] ** 2 - cells[:, 0] ** 2)[None]
-            brdf, brdf_error = seen / n / scale, _binomial_error(seen, n) / scale
+            brdf, brdf_error = exit_counts / n / scale, _binomial_error(exit_counts, n) / scale
         mirrored, reflected, abl, stroma, ipe, *behind = (fates / n).T
         errors = _binomial_error(fates, n)
-        returned = fates[:, :2].sum(1, keepdims=True)
+        total = fates[:, :2].sum(1, keepdims=True)
         return Solution(
             reflected,
             mirrored,
             Absorbed(abl, stroma, ipe),
             outcome(layers.valid()),
             standard_error=errors[:, 1],
-            total_error=_binomial_error(returned, n)[:, 0],
+            total_error=_binomial_error(total, n)[:, 0],
             brdf=brdf,
             brdf_error=brdf_error,
             transmitted=behind[0] if behind else None,
@@ -166,9 +166,9 @@ def _cells(exits: Directions):
     """Lower and upper cosine round each exit, half-way to the nearest other ones, (exits, 2)."""
     c = exits.cosine
     gap = c[None, :] - c[:, None]
-    apart = jnp.abs(gap) > 1e-6
-    lower = jnp.where(apart & (gap < 0), c[None, :], -jnp.inf).max(1)
-    upper = jnp.where(apart & (gap > 0), c[None, :], jnp.inf).min(1)
+    distinct = jnp.abs(gap) > 1e-6
+    lower = jnp.where(distinct & (gap < 0), c[None, :], -jnp.inf).max(1)
+    upper = jnp.where(distinct & (gap > 0), c[None, :], jnp.inf).min(1)
     low = jnp.where(jnp.isfinite(lower), (c + lower) / 2, 0.0)
     high = jnp.where(jnp.isfinite(upper), (c + upper) / 2, 1.0 + 1e-6)
     return jnp.stack([low, high], -1).astype(jnp.float32)
@@ -183,16 +183,16 @@ def _count(
     n_waves = layers.extinction.shape[0]
     devices = 1 if solver.mesh is None else solver.mesh.size
     # Eight times as many keep an H100 busy: 2.3e9 photons a second instead of 2.9e8.
-    at_once = solver.lanes or (1 << 14 if jax.default_backend() == "cpu" else 1 << 17)
+    n_lanes = solver.lanes or (1 << 14 if jax.default_backend() == "cpu" else 1 << 17)
     # Multiples of 16: whole vectors, a lane's loop never falls back to scalars.
-    a_wave = max(16, at_once // n_waves // 16 * 16)
+    copies = max(16, n_lanes // n_waves // 16 * 16)
     f = jnp.float32
     ok = layers.valid()
     words = jax.random.key_data(jax.vmap(lambda j: jax.random.fold_in(key, j))(jnp.arange(n_waves)))
 
     def spread(values):
         # Photons in invalid layers would never end: none are sent.
-        return jnp.repeat(jnp.where(ok, values, 0).astype(f), a_wave)
+        return jnp.repeat(jnp.where(ok, values, 0).astype(f), copies)
 
     n = layers.indices
     lane_layers = lanes.LaneLayers(
@@ -201,19 +201,19 @@ def _count(
         ipe=None if layers.ipe_absorption is None else spread(layers.ipe_absorption),
         phase=jax.tree.map(spread, layers.phase),
     )
-    wave_words = (jnp.repeat(words[:, 0], a_wave), jnp.repeat(words[:, 1], a_wave))
+    wave_words = (jnp.repeat(words[:, 0], copies), jnp.repeat(words[:, 1], copies))
     last = jnp.where(ok, jnp.broadcast_to(last, (n_waves,)), 0)
-    lane = jnp.tile(jnp.arange(a_wave, dtype=jnp.int32), n_waves)
-    stride = jnp.int32(a_wave * devices)
+    lane = jnp.tile(jnp.arange(copies, dtype=jnp.int32), n_waves)
+    stride = jnp.int32(copies * devices)
 
     def on_device(place):
-        start = first + lane + place * a_wave
+        start = first + lane + place * copies
         tally = lanes.run_lanes(
-            *(event, wave_words, start, stride, jnp.repeat(last, a_wave), lane_layers, scale),
+            *(event, wave_words, start, stride, jnp.repeat(last, copies), lane_layers, scale),
             deep=not isinstance(process, Ilit),
             cells=cells,
         )
-        return jax.tree.map(lambda c: c.reshape(n_waves, a_wave, -1).sum(1, dtype=jnp.int32), tally)
+        return jax.tree.map(lambda c: c.reshape(n_waves, copies, -1).sum(1, dtype=jnp.int32), tally)
 
     if solver.mesh is None:
         total = on_device(jnp.int32(0))

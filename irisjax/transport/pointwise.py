@@ -40,50 +40,50 @@ class Pointwise(AbstractSolver):
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         if light.exits is not None and self.process.polarised:
             raise ValueError("Pointwise has no polarised BRDF; it needs the solver itself")
-        how = self.solver, layers.indices, light, key
-        depths = eqx.tree_at(lambda each: each.indices, layers, None)
-        found, brdf = _by_wavelength(_solution, how, depths)
-        return found if brdf is None else dataclasses.replace(found, brdf=brdf.T)
+        context = self.solver, layers.indices, light, key
+        depths = eqx.tree_at(lambda tree: tree.indices, layers, None)
+        solution, brdf = _by_wavelength(_solution, context, depths)
+        return solution if brdf is None else dataclasses.replace(solution, brdf=brdf.T)
 
 
-def _solution(how, depths: Layers) -> tuple[Solution, Array | None]:
-    solver, indices, light, key = how
-    layers = eqx.tree_at(lambda each: each.indices, depths, indices, is_leaf=lambda x: x is None)
-    found = solver.solve(layers, light, key=key)
-    brdf = None if found.brdf is None else found.brdf.T
-    return dataclasses.replace(found, brdf=None), brdf
+def _solution(context, depths: Layers) -> tuple[Solution, Array | None]:
+    solver, indices, light, key = context
+    layers = eqx.tree_at(lambda tree: tree.indices, depths, indices, is_leaf=lambda x: x is None)
+    solution = solver.solve(layers, light, key=key)
+    brdf = None if solution.brdf is None else solution.brdf.T
+    return dataclasses.replace(solution, brdf=None), brdf
 
 
 @eqx.filter_custom_jvp
-def _by_wavelength(run, how, depths):
-    """`run(how, depths)`, with derivatives from one forward pass for each array of `depths`.
+def _by_wavelength(run, context, depths):
+    """`run(context, depths)`, with derivatives from one forward pass for each array of `depths`.
 
     The arrays have shape (wavelengths,), and a value depends on those of its own wavelength only.
-    The last axis of what `run` returns is that of wavelengths. Derivatives with respect to `how`
-    are refused. Reverse mode works whatever loops there are inside.
+    The last axis of what `run` returns is that of wavelengths. Derivatives by the `context` are
+    refused. Reverse mode works whatever loops there are inside.
     """
-    return run(how, depths)
+    return run(context, depths)
 
 
 @_by_wavelength.def_jvp
 def _by_wavelength_jvp(primals, tangents):
-    run, how, depths = primals
-    _, moved, slopes = tangents
-    if any(t is not None for t in jax.tree.leaves(moved)):
+    run, context, depths = primals
+    _, context_slopes, slopes = tangents
+    if any(t is not None for t in jax.tree.leaves(context_slopes)):
         raise NotImplementedError(
             "derivatives by indices or incidence are not part of an inversion"
         )
-    each, structure = jax.tree.flatten(depths)
+    arrays, structure = jax.tree.flatten(depths)
     slopes = structure.flatten_up_to(slopes)
     active = [i for i, slope in enumerate(slopes) if slope is not None]
     # One program for all: compiling is what takes long here.
-    directions = jnp.eye(len(each), dtype=each[0].dtype)[np.array(active)]
+    directions = jnp.eye(len(arrays), dtype=arrays[0].dtype)[np.array(active)]
 
-    def along(direction):
-        ones = (jnp.full_like(x, d) for x, d in zip(each, direction, strict=True))
-        return eqx.filter_jvp(partial(run, how), (depths,), (structure.unflatten(ones),))
+    def derivative_along(direction):
+        ones = (jnp.full_like(x, d) for x, d in zip(arrays, direction, strict=True))
+        return eqx.filter_jvp(partial(run, context), (depths,), (structure.unflatten(ones),))
 
-    values, derivatives = eqx.filter_vmap(along)(directions)
+    values, derivatives = eqx.filter_vmap(derivative_along)(directions)
     # Alike along every direction; a status comes out of a batched loop as many times.
     values = jax.tree.map(lambda v: v[0], values)
 

@@ -123,7 +123,7 @@ PROCESSES: dict[str, AbstractProcess] = {
 
 def option_of(process: AbstractProcess) -> str:
     """The name that the command line gives a process; what outputs call it where it has none."""
-    names = (name for name, known in PROCESSES.items() if known == process)
+    names = (name for name, candidate in PROCESSES.items() if candidate == process)
     return next(names, process.transport)
 
 
@@ -151,7 +151,7 @@ def attenuation(depth: AnyReals, cosine: AnyReals) -> Array:
     return -jnp.expm1(-depth / cosine)
 
 
-def reflections(t: Real, lost: Real, near: Shares, far: Shares) -> Shares:
+def reflections(t: Real, loss: Real, near: Shares, far: Shares) -> Shares:
     """Sum over all mirror reflections in a layer at one cosine, 1/(1 − t² F F'), and whether none
     escapes, where the sum is 0.
 
@@ -159,10 +159,10 @@ def reflections(t: Real, lost: Real, near: Shares, far: Shares) -> Shares:
 
     Args:
         t: Survival of one crossing.
-        lost: 1 − t.
+        loss: 1 − t.
         near: Reflectance and transmittance of one face.
         far: Reflectance and transmittance of the other.
     """
-    escape = lost * (1 + t) + t * t * (near[1] + near[0] * far[1])
-    sealed = escape <= 0
-    return jnp.where(sealed, 0.0, 1 / jnp.where(sealed, 1.0, escape)), sealed
+    escape = loss * (1 + t) + t * t * (near[1] + near[0] * far[1])
+    trapped = escape <= 0
+    return jnp.where(trapped, 0.0, 1 / jnp.where(trapped, 1.0, escape)), trapped

@@ -128,12 +128,12 @@ class Flux(NamedTuple):
     brdf: Array | None = None
     behind: Array | None = None
 
-    def solution(self, status: RESULTS, **more: Any) -> Solution:
+    def solution(self, status: RESULTS, **fields: Any) -> Solution:
         """The `Solution` of these shares, of a `status` and `more` fields."""
-        kept = self.ipe if self.behind is None else self.ipe - self.behind
-        absorbed = Absorbed(self.abl, self.stroma, kept)
+        ipe = self.ipe if self.behind is None else self.ipe - self.behind
+        absorbed = Absorbed(self.abl, self.stroma, ipe)
         shares = self.reflectance, self.mirrored, absorbed
-        return Solution(*shares, status, brdf=self.brdf, transmitted=self.behind, **more)
+        return Solution(*shares, status, brdf=self.brdf, transmitted=self.behind, **fields)
 
 
 def outcome(valid: Bool[Array, ""], *checks: tuple[Bool[Array, ""], RESULTS]) -> RESULTS:
@@ -167,8 +167,8 @@ def raise_failure(result: _T, status: Any) -> _T:
     # Read the code itself: comparing enumerations would dispatch a computation for every call.
     codes = np.asarray(status._value)
     if codes.any():
-        several = "some of the batch failed; see status"
-        raise ValueError(several if codes.ndim else status._enumeration[status])
+        message = "some of the batch failed; see status"
+        raise ValueError(message if codes.ndim else status._enumeration[status])
     return result
 
 
@@ -181,6 +181,6 @@ def _guarded(result, *, status: Any):
 def _guarded_jvp(primals, tangents, *, status: Any):
     # A gradient does not use the value: the factor 1 brings the check into the derivative.
     (result,), (slopes,) = primals, tangents
-    one = status.error_if(jnp.ones(()), status != status._enumeration.successful)
-    slopes = jax.tree.map(lambda t: one.astype(t.dtype) * t, slopes)
+    unit = status.error_if(jnp.ones(()), status != status._enumeration.successful)
+    slopes = jax.tree.map(lambda t: unit.astype(t.dtype) * t, slopes)
     return _guarded(result, status=status), slopes

@@ -15,11 +15,11 @@ def ilit_event(
     place, mode = lanes.InLayer.of(photon.code, layers), (photon.code >> 4) & 3
     k = photon.code >> 7
     u_outcome, u_direction, azimuth = lanes.draws(words, scale)
-    turned = lanes.deflect(
+    deflected = lanes.deflect(
         photon.direction, process.phase_function.sample_cosine(u_direction), azimuth
     )
     fresh = jnp.copysign(sample_entry(u_direction), photon.direction)
-    direction = jnp.where(mode == lanes.SCATTERED, turned, photon.direction)
+    direction = jnp.where(mode == lanes.SCATTERED, deflected, photon.direction)
     direction = jnp.where(mode == lanes.FRESH, fresh, direction)
     # Dividing by a traced 1 keeps the compiler from recomputing the direction in each fusion below.
     direction = jnp.clip(direction, -1.0, 1.0) / scale[2]
@@ -48,5 +48,5 @@ def ilit_event(
     fate = place.fate(leaves, absorbed, u_outcome < first)
     redrawn = transmitted | process.perturb_on_reflection
     mode = jnp.where(scattered, lanes.SCATTERED, jnp.where(redrawn, lanes.FRESH, lanes.KEPT))
-    turned = ~scattered & ~transmitted
-    return Photon(direction, None, place.packed(fate, transmitted, down, mode, turned, k + 1))
+    reverses = ~scattered & ~transmitted
+    return Photon(direction, None, place.pack(fate, transmitted, down, mode, reverses, k + 1))

@@ -18,7 +18,7 @@ from irisjax.transport.ilit.layers import (
     LayerFates,
     abl_responses,
     entry_weights,
-    lost_between,
+    loss_between,
     stroma_response,
     with_epithelium,
 )
@@ -74,7 +74,7 @@ def combine(
     """
     from_above, from_below, stroma = fates
     mirrored, entered = first_surface(light, layers.indices, layers.extinction.dtype)
-    into_stroma = entered * from_above.passed / lost_between(from_below, stroma)
+    into_stroma = entered * from_above.passed / loss_between(from_below, stroma)
     up = into_stroma * stroma.reflected
     brdf = None
     if light.exits is not None:
@@ -102,14 +102,14 @@ def _exit_brdf(layers: Layers, process: Ilit, cos_exit, entered, up, from_above,
     bottom = fresnel_at(mu, n.abl, n.stroma)
     mu, f_top, t_top, *bottom = (x[None, :] for x in (mu, f_top, t_top, *bottom))
     depth = layers.abl_absorption[:, None]
-    t, lost = survival(depth, mu), attenuation(depth, mu)
+    t, loss = survival(depth, mu), attenuation(depth, mu)
     if process.perturb_on_reflection:
         # Every upward crossing starts cosine-distributed, so the exit is the same for all of them.
         rate = (entered * from_above.reflected + up * from_below.passed)[:, None]
         everything = _transmitted_crossing(layers)
         leaving = t * rate / jnp.where(everything > 0, everything, 1.0)[:, None]
     else:
-        series, _ = reflections(t, lost, (f_top, t_top), (bottom[0], bottom[1]))
+        series, _ = reflections(t, loss, (f_top, t_top), (bottom[0], bottom[1]))
         leaving = (entered * t * t * bottom[0] + up[:, None] * t) * series
     ratio = n.aqueous / n.abl
     return leaving * t_top * ratio**2 / jnp.pi

@@ -42,8 +42,8 @@ def abl_responses(
     rule = cosine_rule(critical, possible, n_angles, leave_out_first=not redrawn)
     top = fresnel(rule.cosine, refracted(rule, 0, n.abl, n.aqueous), n.abl, n.aqueous)
     bottom = fresnel(rule.cosine, refracted(rule, 1, n.abl, n.stroma), n.abl, n.stroma)
-    along = depth[:, None], rule.cosine[None, :]
-    light = entry_weights(rule), survival(*along), attenuation(*along)
+    grid = depth[:, None], rule.cosine[None, :]
+    light = entry_weights(rule), survival(*grid), attenuation(*grid)
     solve = _redrawn_layer if redrawn else _specular_layer
 
     def fates(near, far):
@@ -54,30 +54,30 @@ def abl_responses(
     return fates(top, bottom), fates(bottom, top)
 
 
-def _specular_layer(entry, t, lost, near, far):
+def _specular_layer(entry, t, loss, near, far):
     """Entry through `near`; a reflected ray keeps its cosine: a geometric series at each node."""
     t_near, (f_far, t_far) = near[1], far
-    series, guided = reflections(t, lost, *_rows((near, far)))
+    series, guided = reflections(t, loss, *_rows((near, far)))
     weight = entry[None, :] * series
     tw = t * weight
     reflected = (tw * t) @ (f_far * t_near)
     passed = tw @ t_far
     guided = jnp.where(guided, entry[None, :], 0.0)
-    absorbed = (weight * lost * (1 + t * f_far[None, :]) + guided).sum(-1)
+    absorbed = (weight * loss * (1 + t * f_far[None, :]) + guided).sum(-1)
     return reflected, passed, absorbed
 
 
-def _redrawn_layer(entry, t, lost, near, far):
+def _redrawn_layer(entry, t, loss, near, far):
     """Entry through `near`; a reflected ray is redrawn, so each crossing is alike."""
     (_, t_near), (f_far, t_far) = near, far
     crossing = entry[None, :] * t
-    passed, turned = crossing @ t_far, crossing @ f_far
-    out = crossing @ t_near
-    absorbed = lost @ entry
-    # 1 − turned·back as a sum of losses.
-    series = (passed + absorbed) + turned * (out + absorbed)
+    transmission, reflection = crossing @ t_far, crossing @ f_far
+    escape = crossing @ t_near
+    absorbed = loss @ entry
+    # 1 − reflection·back as a sum of losses.
+    series = (transmission + absorbed) + reflection * (escape + absorbed)
     series = jnp.where(series <= 0, 1.0, series)
-    return turned * out / series, passed / series, absorbed * (1 + turned) / series
+    return reflection * escape / series, transmission / series, absorbed * (1 + reflection) / series
 
 
 def stroma_response(
@@ -92,16 +92,16 @@ def stroma_response(
     rule = conserving(cosine_rule(critical, possible, n_angles))
     f_top, t_top = fresnel(rule.cosine, refracted(rule, 0, n.stroma, n.abl), n.stroma, n.abl)
     f_bottom, t_bottom = fresnel(rule.cosine, refracted(rule, 1, n.stroma, n.ipe), n.stroma, n.ipe)
-    along = layers.extinction[:, None], rule.cosine[None, :]
-    t, c = survival(*along), attenuation(*along)
+    grid = layers.extinction[:, None], rule.cosine[None, :]
+    t, c = survival(*grid), attenuation(*grid)
     # A density, as S is.
     entry = (entry_weights(rule) / jnp.where(rule.weight > 0, rule.weight, 1.0))[None, :]
     tested = process.rescatter == "retest"
     w = rule.weight
     if process.perturb_on_reflection:
         # Crossings down and up from a unit entry; reflected rays start afresh from `entry`.
-        again, rest = (2 * c, t) if tested else (jnp.zeros_like(c), jnp.ones_like(c))
-        source, absorbed, converged = _scattered(process, rule, entry * c, again, rest, layers)
+        repeat, escape = (2 * c, t) if tested else (jnp.zeros_like(c), jnp.ones_like(c))
+        source, absorbed, converged = _scattered(process, rule, entry * c, repeat, escape, layers)
         scattered = source * t if tested else source
         direct = entry * t
         top_direct, top_scattered = direct @ (w * f_top), scattered @ (w * f_top)
@@ -109,11 +109,11 @@ def stroma_response(
         # (δ, υ): starts downwards and upwards. υ = δ b + (δ+υ) s_b; δ = 1 + υ a + (δ+υ) s_a.
         turn = (bottom_direct + bottom_scattered) / (1 - bottom_scattered)
         start = 1 / (1 - top_scattered - turn * (top_direct + top_scattered))
-        up, both = turn * start, (1 + turn) * start
+        up, total = turn * start, (1 + turn) * start
         return LayerFates(
-            reflected=up * (direct @ (w * t_top)) + both * (scattered @ (w * t_top)),
-            passed=start * (direct @ (w * t_bottom)) + both * (scattered @ (w * t_bottom)),
-            absorbed=both * absorbed,
+            reflected=up * (direct @ (w * t_top)) + total * (scattered @ (w * t_top)),
+            passed=start * (direct @ (w * t_bottom)) + total * (scattered @ (w * t_bottom)),
+            absorbed=total * absorbed,
         ), converged
 
     out_top, out_bottom = w * t_top, w * t_bottom
@@ -123,14 +123,14 @@ def stroma_response(
     # Events per unit entering, and per unit scattered into both senses of travel; the rest of those
     # leaves.
     crossings = series + f_bottom * series_t
-    first = entry * c * crossings
+    initial = entry * c * crossings
     if tested:
-        again = c * (crossings + series + f_top * series_t)
-        rest = series_t * (t * (t_top + f_top * t_bottom) + c * (t_top + t_bottom) / 2)
+        repeat = c * (crossings + series + f_top * series_t)
+        escape = series_t * (t * (t_top + f_top * t_bottom) + c * (t_top + t_bottom) / 2)
     else:
-        again = c * (f_top * crossings + f_bottom * (series + f_top * series_t))
-        rest = 1 - again / 2
-    source, absorbed, converged = _scattered(process, rule, first, again, rest, layers)
+        repeat = c * (f_top * crossings + f_bottom * (series + f_top * series_t))
+        escape = 1 - repeat / 2
+    source, absorbed, converged = _scattered(process, rule, initial, repeat, escape, layers)
     # A scattered ray arrives at an interface at once, or after one more survival.
     arrive = series_t if tested else series
     arrive_t = series_t * t if tested else series_t
@@ -143,10 +143,10 @@ def stroma_response(
     ), converged
 
 
-def lost_between(upper: LayerFates, lower: LayerFates) -> Spectrum:
+def loss_between(upper: LayerFates, lower: LayerFates) -> Spectrum:
     """1 − R R' between two layers as a sum of losses, which does not cancel; 1 if there is none."""
-    lost = (lower.passed + lower.absorbed) + lower.reflected * (upper.passed + upper.absorbed)
-    return jnp.where(lost <= 0, 1.0, lost)
+    loss = (lower.passed + lower.absorbed) + lower.reflected * (upper.passed + upper.absorbed)
+    return jnp.where(loss <= 0, 1.0, loss)
 
 
 def with_epithelium(
@@ -159,30 +159,30 @@ def with_epithelium(
     n, order = layers.indices, layers.order
     assert layers.ipe_absorption is not None
     # The epithelium is a layer as the ABL is, turned over: it has aqueous humour on its far side.
-    turned = RefractiveIndices(n.aqueous, n.ipe, n.stroma, n.abl)
-    _, beyond = abl_responses(layers.ipe_absorption, turned, Order(), process, n_angles)
-    below = dataclasses.replace(
+    reverse = RefractiveIndices(n.aqueous, n.ipe, n.stroma, n.abl)
+    _, epithelium = abl_responses(layers.ipe_absorption, reverse, Order(), process, n_angles)
+    reverse_layers = dataclasses.replace(
         layers,
-        indices=turned,
+        indices=reverse,
         order=Order(stroma_over_abl=order.stroma_over_ipe, stroma_over_ipe=order.stroma_over_abl),
     )
-    upwards, converged = stroma_response(below, process, n_angles)
-    kept = beyond.passed + beyond.absorbed
-    entered = stroma.passed / lost_between(upwards, beyond)
-    back = entered * beyond.reflected
+    upwards, converged = stroma_response(reverse_layers, process, n_angles)
+    entry = epithelium.passed + epithelium.absorbed
+    arrival = stroma.passed / loss_between(upwards, epithelium)
+    upward = arrival * epithelium.reflected
     fates = LayerFates(
-        reflected=stroma.reflected + back * upwards.passed,
-        passed=entered * kept,
-        absorbed=stroma.absorbed + back * upwards.absorbed,
+        reflected=stroma.reflected + upward * upwards.passed,
+        passed=arrival * entry,
+        absorbed=stroma.absorbed + upward * upwards.absorbed,
     )
-    return fates, share_of(beyond.passed, kept, 0.0), converged
+    return fates, share_of(epithelium.passed, entry, 0.0), converged
 
 
-def _scattered(process: Ilit, rule: CosineRule, first, again, rest, layers: Layers):
-    """Sources of all orders of scattering, S = ω (½ Σ w f + K f) with events f = first + again·S.
+def _scattered(process: Ilit, rule: CosineRule, initial, repeat, escape, layers: Layers):
+    """Sources of all orders of scattering S = ω (½ Σ w f + K f) and events f = initial + repeat·S.
 
-    `rest` is 1 − again/2, the share of scattered light that leaves without another event. The
-    isotropic part is summed by hand, its series 1/(1 − ω(1 − rest)) written as losses: light that
+    `escape` is 1 − repeat/2, the share of scattered light that leaves without another event. The
+    isotropic part is summed by hand, its series 1/(1 − ω(1 − escape)) written as losses: light that
     can hardly leave nor be absorbed is then still accounted for to the last digit.
 
     Returns S (λ, n), the share of the light absorbed by the events (λ,), and whether a series
@@ -190,17 +190,17 @@ def _scattered(process: Ilit, rule: CosineRule, first, again, rest, layers: Laye
     """
     k, w = process.phase_function.redistribution(rule), rule.weight
     albedo, coalbedo = layers.albedo[:, None], layers.coalbedo
-    k, w, first, again, rest, albedo, coalbedo = vary_alike(
-        (k, w, first, again, rest, albedo, coalbedo)
+    k, w, initial, repeat, escape, albedo, coalbedo = vary_alike(
+        (k, w, initial, repeat, escape, albedo, coalbedo)
     )
     if k.collect is None and process.rescatter == "to-interface":
         # Between scatters a ray must be mirrored by an interface, so the orders fall off fast: sum
         # them.
         def operator(s):
-            f = again * s
+            f = repeat * s
             return albedo * (0.5 * (f @ w)[:, None] + k.anisotropic(f))
 
-        entering = albedo * (0.5 * (first @ w)[:, None] + k.anisotropic(first))
+        entering = albedo * (0.5 * (initial @ w)[:, None] + k.anisotropic(initial))
         source, converged = jax.lax.custom_linear_solve(
             lambda s: s - operator(s),
             entering,
@@ -208,25 +208,25 @@ def _scattered(process: Ilit, rule: CosineRule, first, again, rest, layers: Laye
             transpose_solve=_sum_orders,
             has_aux=True,
         )
-        return source, coalbedo * ((first + again * source) @ w), converged
+        return source, coalbedo * ((initial + repeat * source) @ w), converged
 
-    # S = a·y + b, where y = Σ w f counts the events; both solve (1 − ω K again) S = ….
-    right = (0.5 * albedo * jnp.ones_like(again), albedo * k.anisotropic(first))
+    # S = a·y + b, where y = Σ w f counts the events; both solve (1 − ω K repeat) S = ….
+    right = (0.5 * albedo * jnp.ones_like(repeat), albedo * k.anisotropic(initial))
     if k.collect is not None:
         # Rank one: a division.
-        through = (again @ (k.collect * k.scatter)[0])[:, None]
-        a, b = (s + albedo * k.anisotropic(again * s) / (1 - albedo * through) for s in right)
+        through = (repeat @ (k.collect * k.scatter)[0])[:, None]
+        a, b = (s + albedo * k.anisotropic(repeat * s) / (1 - albedo * through) for s in right)
     else:
-        identity = jnp.eye(w.shape[0], dtype=again.dtype)[None]
-        matrix = identity - albedo[..., None] * (k.scatter.T[None] * again[:, None, :])
+        identity = jnp.eye(w.shape[0], dtype=repeat.dtype)[None]
+        matrix = identity - albedo[..., None] * (k.scatter.T[None] * repeat[:, None, :])
         a, b = jnp.moveaxis(jax.vmap(linear.solve)(matrix, jnp.stack(right, axis=-1)), -1, 0)
-    # Σ w again a = ω(1 − rest) − 2ω Σ w rest K(again a), for K neither adds nor takes energy.
-    lost = coalbedo + layers.albedo * ((rest + 2 * rest * k.anisotropic(again * a)) @ w)
-    events = (first + again * b) @ w
-    total = share_of(events, lost, 0.0)
+    # Σ w repeat a = ω(1 − escape) − 2ω Σ w escape K(repeat a), for K neither adds nor takes energy.
+    loss = coalbedo + layers.albedo * ((escape + 2 * escape * k.anisotropic(repeat * a)) @ w)
+    events = (initial + repeat * b) @ w
+    total = share_of(events, loss, 0.0)
     # Light that can neither leave nor be absorbed is counted as absorbed, the limit of least
     # absorption.
-    return total[:, None] * a + b, jnp.where(lost <= 0, events, coalbedo * total), jnp.asarray(True)
+    return total[:, None] * a + b, jnp.where(loss <= 0, events, coalbedo * total), jnp.asarray(True)
 
 
 def _sum_orders(operator, b):

@@ -108,8 +108,8 @@ class IlitTabulated(AbstractSolver):
             layers.extinction,
             *(self, layers.abl_absorption, layers.extinction, layers.albedo),
         )
-        same = (self.indices.same(layers.indices), RESULTS.outside_table)
-        return combine(layers, light, self.process, fates, same)
+        check = (self.indices.same(layers.indices), RESULTS.outside_table)
+        return combine(layers, light, self.process, fates, check)
 
     def _responses(self, abl, depth, albedo) -> tuple[LayerFates, LayerFates, LayerFates]:
         """Responses of the ABL to light from above and from below, and of the stroma."""
@@ -144,22 +144,22 @@ class IlitTabulated(AbstractSolver):
 def _nodes(depth, albedos, indices: RefractiveIndices, order: Order, process: Ilit):
     """Responses of the ABL (depths, 4), and of the stroma at each albedo (albedos, depths, 2)."""
 
-    def at(albedo):
+    def responses(albedo):
         return _responses(depth, jnp.full_like(depth, albedo), indices, order, process)
 
-    abl, _ = at(jnp.zeros_like(albedos[0]))
-    return abl, jax.lax.map(lambda albedo: at(albedo)[1], albedos)
+    abl, _ = responses(jnp.zeros_like(albedos[0]))
+    return abl, jax.lax.map(lambda albedo: responses(albedo)[1], albedos)
 
 
 @eqx.filter_jit
 def _largest_error(tables: IlitTabulated, depth, albedos, order: Order):
-    def at(albedo):
-        each = jnp.full_like(depth, albedo)
-        exact = _responses(depth, each, tables.indices, order, tables.process, 64)
-        found = _as_stored(*tables._responses(depth, depth, each))
-        return jnp.stack([jnp.abs(f - e).max() for f, e in zip(found, exact, strict=True)]).max()
+    def error(albedo):
+        constant = jnp.full_like(depth, albedo)
+        exact = _responses(depth, constant, tables.indices, order, tables.process, 64)
+        stored = _as_stored(*tables._responses(depth, depth, constant))
+        return jnp.stack([jnp.abs(f - e).max() for f, e in zip(stored, exact, strict=True)]).max()
 
-    return jax.lax.map(at, albedos).max()
+    return jax.lax.map(error, albedos).max()
 
 
 def _depth(fraction):

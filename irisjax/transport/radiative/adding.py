@@ -94,7 +94,7 @@ class AddingDoubling(AbstractSolver):
     @full_precision
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         nodes = gauss_nodes(layers, self.n_angles)
-        lit = beams_and_exits(layers, light, max(48, self.n_angles))
+        rays = beams_and_exits(layers, light, max(48, self.n_angles))
         doublings = _TRACED if self.n_doublings is None else self.n_doublings
         phase = layers.phase
         if phase is None:
@@ -103,13 +103,13 @@ class AddingDoubling(AbstractSolver):
             jax.vmap(partial(_one_wavelength, doublings=doublings), (0, 0, 0, 0, 0, None, None)),
             layers.extinction,
             *(layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering, phase),
-            *(layers.ipe_absorption, nodes, lit),
+            *(layers.ipe_absorption, nodes, rays),
         )
         resolved = (layers.extinction <= 1.001 * _COARSEST * 2.0**doublings).all()
         angles = resolution.angles_resolved(
-            layers, phase, self.n_angles, lit.beams.cosine, lit.power
+            layers, phase, self.n_angles, rays.beams.cosine, rays.power
         )
-        if lit.exits is not None:
+        if rays.exits is not None:
             angles &= resolution.brdf_resolved(layers, phase, self.n_angles)
         return flux.solution(resolution.status_of(layers, resolved, angles))
 
@@ -125,20 +125,20 @@ def doublings_for(layers: Layers) -> int | None:
 
 
 def _one_wavelength(
-    abl, absorption, scattering, phase, ipe, nodes: Ordinates, lit: BeamsAndExits, *, doublings: int
+    abl, absorption, scattering, phase, ipe, nodes, rays: BeamsAndExits, *, doublings: int
 ) -> Flux:
-    power = lit.power
-    nodes, beams, exits = (over_epithelium(ipe, d) for d in (nodes, lit.beams, lit.exits))
+    power = rays.power
+    nodes, beams, exits = (over_epithelium(ipe, d) for d in (nodes, rays.beams, rays.exits))
     count = nodes.cosine.size
     moments, peak = phase.truncated(count)
     scattering = scattering * (1 - peak)
     depth = absorption + scattering
     albedo, coalbedo = share_of(scattering, depth, 0.0), share_of(absorption, depth, 1.0)
-    lit_by, seen = (angular_profile(abl, depth, d) for d in (beams, nodes))
+    incident, profile = (angular_profile(abl, depth, d) for d in (beams, nodes))
     # Of all mirror images of the beams: radiance downwards at the top, upwards at the bottom.
     unscattered = unscattered_beam(abl, depth, beams)
-    falling = power * unscattered.entered * lit_by.series / beams.cosine
-    beamed = jnp.concatenate([falling, falling * lit_by.back])
+    downward = power * unscattered.entered * incident.series / beams.cosine
+    radiance = jnp.concatenate([downward, downward * incident.back])
     lines = Lines(
         nodes.cosine if exits is None else jnp.concatenate([nodes.cosine, exits.cosine]),
         jnp.concatenate([nodes.cosine, beams.cosine]),
@@ -148,34 +148,34 @@ def _one_wavelength(
     orders = range(1 if exits is None else count)
     matrices = phase_matrices(phase, moments, peak, orders, lines)
 
-    def field(taken):
-        slab = doubled_from(Medium(depth, albedo, coalbedo, *taken), lines, doublings)
-        return slab.absorbed, _between(slab, beamed, seen, nodes, depth)
+    def solve_order(pair):
+        slab = doubled_from(Medium(depth, albedo, coalbedo, *pair), lines, doublings)
+        return slab.absorbed, _between(slab, radiance, profile, nodes, depth)
 
     # One order after another: side by side they would fill the memory.
-    each = jax.lax.map(field, matrices)
-    absorbed, (up, down, again, _) = jax.tree.map(lambda x: x[0], each)
+    fields = jax.lax.map(solve_order, matrices)
+    absorbed, (up, down, inward, _) = jax.tree.map(lambda x: x[0], fields)
     brdf = None
     if exits is not None:
         leave = angular_profile(abl, depth, exits)
-        top, bottom = each[1][3][..., count:].swapaxes(0, 1)
-        of = np.arange(count)[:, None]
-        cosines = jnp.cos(jnp.asarray(of, lit.azimuth.dtype) * lit.azimuth[None])
-        cosines = cosines * jnp.asarray(np.where(of > 0, 2.0, 1.0), lit.azimuth.dtype)
+        top, bottom = fields[1][3][..., count:].swapaxes(0, 1)
+        order = np.arange(count)[:, None]
+        cosines = jnp.cos(jnp.asarray(order, rays.azimuth.dtype) * rays.azimuth[None])
+        cosines = cosines * jnp.asarray(np.where(order > 0, 2.0, 1.0), rays.azimuth.dtype)
         total = leave.series * (cosines * (top + leave.back[None] * bottom)).sum(0)
 
-        def left_out(cosine):
+        def residual(cosine):
             return phase.value(cosine) / (1 - peak) - series_value(moments, cosine)
 
-        total += single_scattering(abl, depth, albedo, beams, exits, lit.azimuth, left_out)
-        brdf = total * leave.abl.passed * lit.to_brdf
-    of_beams = jnp.tile(absorbed[count:], 2) @ beamed
-    stroma = of_beams + jnp.tile(absorbed[:count], 2) @ again
-    flux = with_scattered(unscattered, power, nodes, seen.abl, up, down, stroma)
+        total += single_scattering(abl, depth, albedo, beams, exits, rays.azimuth, residual)
+        brdf = total * leave.abl.passed * rays.to_brdf
+    direct = jnp.tile(absorbed[count:], 2) @ radiance
+    stroma = direct + jnp.tile(absorbed[:count], 2) @ inward
+    flux = with_scattered(unscattered, power, nodes, profile.abl, up, down, stroma)
     return flux._replace(brdf=brdf)
 
 
-def _between(slab: Response, beamed, seen: AngularProfile, nodes: Ordinates, depth):
+def _between(slab: Response, radiance, profile: AngularProfile, nodes: Ordinates, depth):
     """Scattered light of beams in a slab between its boundaries.
 
     Returns the radiance at the nodes, up at its top and down at its bottom; the radiance that the
@@ -183,23 +183,23 @@ def _between(slab: Response, beamed, seen: AngularProfile, nodes: Ordinates, dep
     top and to the bottom (2, rows).
     """
     n = nodes.cosine.size
-    upper, lower = (share[0] for share in boundaries(seen.abl, nodes))
+    upper, lower = (share[0] for share in boundaries(profile.abl, nodes))
     through = survival(depth, nodes.cosine)
     # Rows: to the top, to the bottom. Columns: from above, from below.
-    whole = jnp.stack([slab.back, slab.on]), jnp.stack([slab.on, slab.back])
-    from_beams = jnp.concatenate([x[..., n:] for x in whole], axis=-1) @ beamed
-    operator = jnp.concatenate([x[..., :n] for x in whole], axis=-1)
+    blocks = jnp.stack([slab.back, slab.on]), jnp.stack([slab.on, slab.back])
+    from_beams = jnp.concatenate([x[..., n:] for x in blocks], axis=-1) @ radiance
+    operator = jnp.concatenate([x[..., :n] for x in blocks], axis=-1)
     # Unscattered from end to end, back and forth, light keeps its direction.
-    images = seen.series[None, None] * jnp.stack(
+    images = profile.series[None, None] * jnp.stack(
         [jnp.stack([upper, upper * through * lower]), jnp.stack([lower * through * upper, lower])]
     )
 
     inner = operator[:, :n].reshape(2 * n, 2, n)
-    back = jnp.einsum("rsn,stn->rtn", inner, images).reshape(2 * n, 2 * n)
-    one = jnp.eye(2 * n, dtype=depth.dtype)
-    emitted = linear.solve(one - back, from_beams[:, :n].reshape(2 * n))
-    again = (images * emitted.reshape(1, 2, n)).sum(1).ravel()
-    top, bottom = emitted.reshape(2, n)
-    up = seen.series * (top + through * lower * bottom)
-    down = seen.series * (bottom + through * upper * top)
-    return up, down, again, from_beams + operator @ again
+    feedback = jnp.einsum("rsn,stn->rtn", inner, images).reshape(2 * n, 2 * n)
+    identity = jnp.eye(2 * n, dtype=depth.dtype)
+    emission = linear.solve(identity - feedback, from_beams[:, :n].reshape(2 * n))
+    inward = (images * emission.reshape(1, 2, n)).sum(1).ravel()
+    top, bottom = emission.reshape(2, n)
+    up = profile.series * (top + through * lower * bottom)
+    down = profile.series * (bottom + through * upper * top)
+    return up, down, inward, from_beams + operator @ inward

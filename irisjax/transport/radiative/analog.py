@@ -17,11 +17,11 @@ def radiative_event(
     outside = k == 0
     u_outcome, u_direction, azimuth = lanes.draws(words, scale)
     law = process.phase_function if layers.phase is None else layers.phase
-    turned = lanes.deflect(photon.direction, law.sample_cosine(u_direction), azimuth)
+    deflected = lanes.deflect(photon.direction, law.sample_cosine(u_direction), azimuth)
     diffuse = layers.incidence < 0
     entering = jnp.where(diffuse, sample_entry(u_direction), layers.incidence)
     direction = jnp.where(
-        outside, entering, jnp.where(mode == lanes.SCATTERED, turned, photon.direction)
+        outside, entering, jnp.where(mode == lanes.SCATTERED, deflected, photon.direction)
     )
     direction = jnp.clip(direction, -1.0, 1.0) / scale[2]
     down, mu = direction > 0.0, jnp.maximum(jnp.abs(direction), 1e-12)
@@ -42,16 +42,16 @@ def radiative_event(
     transmitted = (u_outcome >= t_mirror) & ~absorbed
     scattered = (u_outcome >= t_absorbed) & (u_outcome < p_event) & ~absorbed
     # Given a scatter, (u − t_absorbed)/albedo is uniform below `p_event`, and places it.
-    placed = (u_outcome - t_absorbed) / jnp.maximum(albedo, 1e-30)
-    flown = -jnp.log1p(-jnp.clip(placed, 0.0, p_event)) * mu
-    moved = photon.depth + jnp.where(down, 1.0, -1.0) * jnp.minimum(flown, to_end)
+    position = (u_outcome - t_absorbed) / jnp.maximum(albedo, 1e-30)
+    travel = -jnp.log1p(-jnp.clip(position, 0.0, p_event)) * mu
+    target = photon.depth + jnp.where(down, 1.0, -1.0) * jnp.minimum(travel, to_end)
     at_end = jnp.where(down, layers.stroma, 0.0)
-    depth = place.pick(0.0, jnp.where(scattered, moved, at_end), layers.stroma)
+    depth = place.pick(0.0, jnp.where(scattered, target, at_end), layers.stroma)
     depth = jnp.where(outside, 0.0, depth) / scale[2]
-    bent = jnp.sign(direction) * refract(mu, n_here, n_ahead)
-    direction = jnp.where(transmitted, bent, direction)
+    refracted = jnp.sign(direction) * refract(mu, n_here, n_ahead)
+    direction = jnp.where(transmitted, refracted, direction)
     leaves = transmitted & place.leaves(down) & ~outside
     fate = place.fate(leaves, absorbed, outside & ~transmitted)
-    mode, turned = jnp.where(scattered, lanes.SCATTERED, lanes.KEPT), ~scattered & ~transmitted
-    code = place.packed(fate, transmitted & ~outside, down, mode, turned, k + 1)
+    mode, reverses = jnp.where(scattered, lanes.SCATTERED, lanes.KEPT), ~scattered & ~transmitted
+    code = place.pack(fate, transmitted & ~outside, down, mode, reverses, k + 1)
     return Photon(direction, depth, code)

@@ -148,20 +148,20 @@ def over_epithelium(ipe: jax.Array | None, d: Any) -> Any:
     if ipe is None or d is None:
         return d
     layer = _absorber(ipe, d.ipe_cosine, d.bottom, d.behind)
-    entered = layer.passed + layer.absorbed
+    entry = layer.passed + layer.absorbed
     return d._replace(
-        bottom=(d.bottom[0] + layer.reflected, entered),
-        through=share_of(layer.passed, entered, 0.0),
+        bottom=(d.bottom[0] + layer.reflected, entry),
+        through=share_of(layer.passed, entry, 0.0),
     )
 
 
 def _absorber(depth: jax.Array, cosine: jax.Array, near: Any, far: Any) -> Absorber:
-    t, lost = survival(depth, cosine), attenuation(depth, cosine)
-    series, sealed = reflections(t, lost, near, far)
+    t, loss = survival(depth, cosine), attenuation(depth, cosine)
+    series, trapped = reflections(t, loss, near, far)
     # What can neither leave nor be absorbed counts as absorbed, the limit of least absorption.
-    absorbed = jnp.where(sealed, 1.0, lost * (1 + t * far[0]) * series)
-    back, out = t * t * far[0] * near[1] * series, t * far[1] * series
-    return Absorber(near[1] * back, near[1] * out, near[1] * absorbed)
+    absorbed = jnp.where(trapped, 1.0, loss * (1 + t * far[0]) * series)
+    reflected, transmitted = t * t * far[0] * near[1] * series, t * far[1] * series
+    return Absorber(near[1] * reflected, near[1] * transmitted, near[1] * absorbed)
 
 
 def boundaries(abl: Absorber, d: Ordinates) -> tuple[Shares, Shares]:
@@ -171,14 +171,14 @@ def boundaries(abl: Absorber, d: Ordinates) -> tuple[Shares, Shares]:
     return (d.top[0] + abl.reflected, abl.passed + abl.absorbed), d.bottom
 
 
-def joined_sets(*sets: Any) -> Any:
+def join_sets(*sets: Any) -> Any:
     """Join several sets of directions, so that one fused loop serves all; sets may be `None`."""
-    found = [d for d in sets if d is not None]
-    return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1), *found)
+    present = [d for d in sets if d is not None]
+    return jax.tree.map(lambda *x: jnp.concatenate(x, axis=-1), *present)
 
 
-def parted(tree: Any, *sets: Any) -> list[Any]:
-    """Split arrays over joined sets into those of each set: the inverse of `joined_sets`."""
+def split_sets(tree: Any, *sets: Any) -> list[Any]:
+    """Split arrays over joined sets into those of each set: the inverse of `join_sets`."""
     ends = np.cumsum([d.cosine.size for d in sets if d is not None])[:-1].tolist()
     leaves, structure = jax.tree.flatten(tree)
     parts = zip(*(jnp.split(x, ends, axis=-1) for x in leaves), strict=True)
@@ -198,12 +198,12 @@ def _critical(layers: Layers):
 def _ordinates(layers: Layers, law, stroma, weight, aqueous, abl, ipe) -> Ordinates:
     # One call for all interfaces: a third of the program.
     n, deep = layers.indices, layers.ipe_absorption is not None
-    here, beyond = (stroma, abl, stroma, ipe), (abl, aqueous, ipe, aqueous)
+    inside, outside = (stroma, abl, stroma, ipe), (abl, aqueous, ipe, aqueous)
     indices = (n.stroma, n.abl, n.stroma, n.ipe), (n.abl, n.aqueous, n.ipe, n.aqueous)
     count = 4 if deep else 3
-    here, beyond, *indices = (jnp.stack(x[:count]) for x in (here, beyond, *indices))
-    met = law(here, beyond, *(x[:, None] for x in indices))
-    top, surface, bottom, *behind = (jax.tree.map(lambda x, k=k: x[k], met) for k in range(count))
+    inside, outside, *indices = (jnp.stack(x[:count]) for x in (inside, outside, *indices))
+    faces = law(inside, outside, *(x[:, None] for x in indices))
+    top, surface, bottom, *behind = (jax.tree.map(lambda x, k=k: x[k], faces) for k in range(count))
     return Ordinates(
         # A beam that cannot enter has cosine 0 and no power; keep the exponentials finite.
         cosine=jnp.where(stroma > 0, stroma, 1.0),

@@ -56,11 +56,11 @@ def doubled_from(medium: Medium, lines: Lines, doublings: int) -> Response:
     fourth power.
     """
     depth = medium.depth / 2**doublings
-    both = jax.vmap(lambda d: thin(medium._replace(depth=d), lines))(jnp.stack([depth, depth / 2]))
-    coarse, fine = (jax.tree.map(lambda x, k=k: x[k], both) for k in (0, 1))
+    pair = jax.vmap(lambda d: thin(medium._replace(depth=d), lines))(jnp.stack([depth, depth / 2]))
+    coarse, fine = (jax.tree.map(lambda x, k=k: x[k], pair) for k in (0, 1))
 
-    def step(carried, first):
-        response, depth = carried
+    def step(state, first):
+        response, depth = state
         response = doubled(response, depth, lines)
         third = jnp.where(first, 1 / 3, 0.0).astype(depth.dtype)
         response = jax.tree.map(lambda f, c: f + third * (f - c), response, coarse)
@@ -74,11 +74,11 @@ def thin(medium: Medium, lines: Lines) -> Response:
     """A layer whose light is scattered once exactly; what follows comes from sources that are alike
     over its depth. It conserves energy.
     """
-    n, one = lines.nodes, jnp.eye(lines.nodes, dtype=medium.depth.dtype)
+    n, identity = lines.nodes, jnp.eye(lines.nodes, dtype=medium.depth.dtype)
     depth, rows, columns = medium.depth, lines.rows[:, None], lines.columns[None]
-    each = 0.5 * medium.albedo * lines.weight[None]
-    on, back = each * medium.same, each * medium.opposite
-    mean, own = mean_survival(depth / columns), mean_absence(depth / lines.rows[:n])
+    factor = 0.5 * medium.albedo * lines.weight[None]
+    on, back = factor * medium.same, factor * medium.opposite
+    mean, absence = mean_survival(depth / columns), mean_absence(depth / lines.rows[:n])
     # Of sources that fade along each column, in the mean over the depth: what leaves along a row.
     up = mean_survival(depth * (1 / rows + 1 / columns))
     down = survival(depth, jnp.maximum(rows, columns))
@@ -90,35 +90,35 @@ def thin(medium: Medium, lines: Lines) -> Response:
         one or more scatterings, and the mean over the depth of all scattered light inside.
         """
         kernel = on[:, :n] + sign * back[:, :n]
-        once = stays_on + sign * stays_back
-        driven = kernel @ once
-        inner = linear.solve(one - kernel[:n] * own[None], driven[:n])
-        more = own[:, None] * inner
-        return driven + kernel @ more, once + more
+        single = stays_on + sign * stays_back
+        source = kernel @ single
+        inner = linear.solve(identity - kernel[:n] * absence[None], source[:n])
+        multiple = absence[:, None] * inner
+        return source + kernel @ multiple, single + multiple
 
     (even, odd), (inside, _) = jax.vmap(later)(jnp.asarray([1.0, -1.0], depth.dtype))
-    emitted = 0.5 * attenuation(depth, lines.rows)[:, None]
+    emission = 0.5 * attenuation(depth, lines.rows)[:, None]
     light = lines.weight * mean[0] + lines.weight[:n] @ inside
     return Response(
-        back=back * up * (depth / rows) + emitted * (even - odd),
-        on=on * down * (depth / rows) + emitted * (even + odd),
+        back=back * up * (depth / rows) + emission * (even - odd),
+        on=on * down * (depth / rows) + emission * (even + odd),
         absorbed=medium.coalbedo * depth * light,
     )
 
 
 def doubled(layer: Response, depth: jax.Array, lines: Lines) -> Response:
     """Two equal layers of optical depth `depth`  [de Haan, Bosma & Hovenier 1987, Eqs. 5 to 11]."""
-    n, one = lines.nodes, jnp.eye(lines.nodes, dtype=depth.dtype)
+    n, identity = lines.nodes, jnp.eye(lines.nodes, dtype=depth.dtype)
     back, on, absorbed = layer
     passed = survival(depth, lines.columns)
-    into, out = passed[None], survival(depth, lines.rows)[:, None]
+    t_in, t_out = passed[None], survival(depth, lines.rows)[:, None]
     twice = back[:n, :n] @ back[:n]
     # Between the two: downwards, then upwards.
-    down = linear.solve(one - twice[:, :n], on[:n] + twice * into)
-    up = back[:, :n] @ down + back * into
+    down = linear.solve(identity - twice[:, :n], on[:n] + twice * t_in)
+    up = back[:, :n] @ down + back * t_in
     below = jnp.concatenate([down, on[n:] + back[n:, :n] @ up[:n]])
     return Response(
-        back=back + on[:, :n] @ up[:n] + out * up,
-        on=on[:, :n] @ down + out * below + on * into,
+        back=back + on[:, :n] @ up[:n] + t_out * up,
+        on=on[:, :n] @ down + t_out * below + on * t_in,
         absorbed=absorbed * (1 + passed) + absorbed[:n] @ (down + up[:n]),
     )

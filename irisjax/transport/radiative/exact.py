@@ -32,10 +32,10 @@ from irisjax.transport.radiative.directions import (
     abl_shares,
     beams_and_exits,
     boundaries,
-    joined_sets,
+    join_sets,
     over_epithelium,
-    parted,
     quadrature_nodes,
+    split_sets,
 )
 from irisjax.transport.radiative.orders import conserving_order, unscattered_beam
 from irisjax.transport.radiative.polarised.exact import solve_polarised
@@ -67,10 +67,10 @@ class RadiativeExact(AbstractSolver):
 
     def __check_init__(self) -> None:
         check_process(self, RadiativeTransfer)
-        for name, low in (("n_angles", 4), ("n_depths", 2), ("n_panels", 1)):
+        for name, minimum in (("n_angles", 4), ("n_depths", 2), ("n_panels", 1)):
             value = getattr(self, name)
             if value is not None:
-                check_whole(name, value, low)
+                check_whole(name, value, minimum)
 
     def prepare(self, layers: Layers, light: Light) -> "RadiativeExact":
         if self.n_panels is not None:
@@ -82,18 +82,18 @@ class RadiativeExact(AbstractSolver):
     @full_precision
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         check_layers(self, layers)
-        how, polarisation = (self.n_depths, self.n_panels or 1), None
+        grid, polarisation = (self.n_depths, self.n_panels or 1), None
         if self.process.polarised:
-            flux, polarisation = solve_polarised(layers, light, self.n_angles, how)
+            flux, polarisation = solve_polarised(layers, light, self.n_angles, grid)
         else:
-            lit = beams_and_exits(layers, light, 2 * self.n_angles)
+            rays = beams_and_exits(layers, light, 2 * self.n_angles)
             flux = call_with_layout(
-                jax.vmap(partial(_one_wavelength, how=how), (0, 0, 0, 0, 0, None, None)),
+                jax.vmap(partial(_one_wavelength, grid=grid), (0, 0, 0, 0, 0, None, None)),
                 layers.extinction,
                 *(layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo),
-                *(layers.ipe_absorption, quadrature_nodes(layers, self.n_angles), lit),
+                *(layers.ipe_absorption, quadrature_nodes(layers, self.n_angles), rays),
             )
-        resolved = resolution.depths_resolved(layers, light, *how)
+        resolved = resolution.depths_resolved(layers, light, *grid)
         return flux.solution(resolution.status_of(layers, resolved), polarisation=polarisation)
 
 
@@ -102,18 +102,18 @@ _steepness = jax.jit(resolution.steepness)
 
 
 def _one_wavelength(
-    abl, depth, albedo, coalbedo, ipe, nodes: Ordinates, lit: BeamsAndExits, *, how
+    abl, depth, albedo, coalbedo, ipe, nodes: Ordinates, rays: BeamsAndExits, *, grid
 ) -> Flux:
-    slab = Slab(depth := resolution.seen_depth(depth, coalbedo), *how)
-    nodes, beams, exits = (over_epithelium(ipe, d) for d in (nodes, lit.beams, lit.exits))
+    slab = Slab(depth := resolution.effective_depth(depth, coalbedo), *grid)
+    nodes, beams, exits = (over_epithelium(ipe, d) for d in (nodes, rays.beams, rays.exits))
     # All directions together, so that one fused loop serves them.
-    everywhere = joined_sets(nodes, beams, exits)
+    everywhere = join_sets(nodes, beams, exits)
     upper = abl_shares(abl, everywhere)
     bounded = slab.bounded(everywhere.cosine, *boundaries(upper, everywhere))
-    angle, beam, *exit_ = parted(bounded, nodes, beams, exits)
-    upper, _, *upper_exit = parted(upper, nodes, beams, exits)
-    first = jax.tree.map(lambda x: x[None], unscattered_beam(abl, depth, beams))
-    entering = lit.power[None] * first.entered / beams.cosine[None]
+    angle, beam, *exit_ = split_sets(bounded, nodes, beams, exits)
+    upper, _, *upper_exit = split_sets(upper, nodes, beams, exits)
+    fates = jax.tree.map(lambda x: x[None], unscattered_beam(abl, depth, beams))
+    entering = rays.power[None] * fates.entered / beams.cosine[None]
 
     def equations(mode: Mode):
         """Strengths of a mode, the system of its moments, and its right-hand side."""
@@ -121,19 +121,19 @@ def _one_wavelength(
         operator = slab.moments(angle, nodes.weight, mode.functions(nodes.cosine), mode.parity)
         driving = mode.functions(beams.cosine) * entering
         size = operator.shape[0]
-        each = jnp.repeat(strength, size // strength.size)
-        system = jnp.eye(size, dtype=depth.dtype) - operator * each[None, :]
+        weights = jnp.repeat(strength, size // strength.size)
+        system = jnp.eye(size, dtype=depth.dtype) - operator * weights[None, :]
         return strength, system, driving @ slab.driving_each(beam, mode.parity).T
 
     def leaving(mode: Mode, strength, moments):
         source = (strength[:, None] * mode.functions(exits.cosine)).T @ moments
         up, _ = slab.leaving(exit_[0], source, mode.parity)
-        return up * jnp.cos(mode.order * lit.azimuth) * (1 if mode.order == 0 else 2)
+        return up * jnp.cos(mode.order * rays.azimuth) * (1 if mode.order == 0 else 2)
 
     strength, system, driving = equations(MODES[0])
     source = strength[:, None] * MODES[0].functions(nodes.cosine)
-    equation, along = (source, system, driving[..., None]), (angle, nodes, upper)
-    moments, flux = conserving_order(slab, coalbedo, *equation, *along, first, lit.power)
+    equation, directions = (source, system, driving[..., None]), (angle, nodes, upper)
+    moments, flux = conserving_order(slab, coalbedo, *equation, *directions, fates, rays.power)
     if exits is None:
         return flux
     total = leaving(MODES[0], strength, moments[..., 0])
@@ -141,4 +141,4 @@ def _one_wavelength(
         strength, system, driving = equations(mode)
         moments = linear.solve(system, driving.reshape(-1)).reshape(driving.shape)
         total += leaving(mode, strength, moments)
-    return flux._replace(brdf=total * upper_exit[0].passed * lit.to_brdf)
+    return flux._replace(brdf=total * upper_exit[0].passed * rays.to_brdf)

@@ -22,22 +22,22 @@ def legendre(count: int, orders: Reals, cosine: jax.Array) -> jax.Array:
     powers = [jnp.ones_like(cosine)]
     for k in range(1, int(orders.max()) + 1):
         powers.append(powers[-1] * sine * float(np.sqrt((2 * k - 1) / (2 * k))))
-    first = jnp.stack([powers[m] for m in orders])
+    diagonal = jnp.stack([powers[m] for m in orders])
     degree, m = np.arange(count)[:, None], orders[None]
     rises = np.maximum(degree**2 - m**2, 1)
     a = (2 * degree - 1) / np.sqrt(rises)
     b = np.sqrt(np.maximum((degree - 1) ** 2 - m**2, 0) / rises)
     steps = np.where(degree > m, a, 0.0), np.where(degree > m, b, 0.0), 1.0 * (degree == m)
 
-    def step(known, factors):
-        before, last = known
+    def step(state, factors):
+        previous, last = state
         a, b, starts = (f[:, None] for f in factors)
-        now = a * cosine[None] * last - b * before + starts * first
-        return (last, now), now
+        value = a * cosine[None] * last - b * previous + starts * diagonal
+        return (last, value), value
 
-    steps = tuple(jnp.asarray(x, first.dtype) for x in steps)
-    found = jax.lax.scan(step, (jnp.zeros_like(first), jnp.zeros_like(first)), steps)[1]
-    return jnp.swapaxes(found, 0, 1)
+    steps = tuple(jnp.asarray(x, diagonal.dtype) for x in steps)
+    values = jax.lax.scan(step, (jnp.zeros_like(diagonal), jnp.zeros_like(diagonal)), steps)[1]
+    return jnp.swapaxes(values, 0, 1)
 
 
 def phase_matrices(
@@ -51,12 +51,12 @@ def phase_matrices(
     """
     count, n = moments.shape[-1], lines.nodes
     degree, orders = np.arange(count), np.asarray(orders)
-    both = legendre(count, orders, jnp.concatenate([lines.rows, lines.columns]))
-    rows, columns = jnp.split(both, [lines.rows.size], axis=-1)
+    polynomials = legendre(count, orders, jnp.concatenate([lines.rows, lines.columns]))
+    rows, columns = jnp.split(polynomials, [lines.rows.size], axis=-1)
     weighted = _weighted(moments)[None, :, None] * columns
     sign = jnp.asarray((-1.0) ** (degree[None] + orders[:, None]), moments.dtype)[..., None]
-    back = jnp.swapaxes(rows, 1, 2)
-    same, opposite = back @ weighted, back @ (sign * weighted)
+    left = jnp.swapaxes(rows, 1, 2)
+    same, opposite = left @ weighted, left @ (sign * weighted)
     if orders[0]:
         return same, opposite
     same_0, opposite_0 = _means(phase, moments, peak, lines)
@@ -75,54 +75,54 @@ def _means(phase: PhaseMixture, moments, peak, lines: Lines):
     """
     n, dtype = lines.nodes, moments.dtype
     mu, weight, columns = lines.rows[:n], lines.weight[:n], lines.columns
-    across, beside = safe_sqrt(1 - mu**2)[:, None], safe_sqrt(1 - columns**2)[None]
+    sin_row, sin_column = safe_sqrt(1 - mu**2)[:, None], safe_sqrt(1 - columns**2)[None]
     # Of light that keeps its sense of travel, and of light that turns back.
     sense = jnp.asarray([1.0, -1.0], dtype)[:, None, None]
-    along, reach = sense * (mu[:, None] * columns[None])[None], (across * beside)[None]
-    means = phase.mean_over_azimuth(along, reach) / (1 - peak)
+    centre, amplitude = sense * (mu[:, None] * columns[None])[None], (sin_row * sin_column)[None]
+    means = phase.mean_over_azimuth(centre, amplitude) / (1 - peak)
 
-    into, out = legendre(_KEPT, [0], mu)[0], legendre(_KEPT, [0], columns)[0]
+    row_basis, column_basis = legendre(_KEPT, [0], mu)[0], legendre(_KEPT, [0], columns)[0]
     x, w = np.polynomial.legendre.leggauss(_FINE)
     height = np.pi / 4 * (x + 1)
     fine, w = jnp.asarray(np.sin(height), dtype), np.pi / 8 * w * np.cos(height)
-    aside = jnp.asarray(np.cos(height), dtype)[:, None] * beside
-    turned = phase.mean_over_azimuth(-fine[:, None] * columns[None], aside) / (1 - peak)
-    turned = (legendre(_KEPT, [0], fine)[0] * jnp.asarray(w, dtype)[None]) @ turned
+    fine_amplitude = jnp.asarray(np.cos(height), dtype)[:, None] * sin_column
+    backward = phase.mean_over_azimuth(-fine[:, None] * columns[None], fine_amplitude) / (1 - peak)
+    backward = (legendre(_KEPT, [0], fine)[0] * jnp.asarray(w, dtype)[None]) @ backward
     sign = jnp.asarray((-1.0) ** np.arange(_KEPT), dtype)[:, None]
-    wanted = jnp.stack([moments[:_KEPT, None] * out - sign * turned, turned])
+    targets = jnp.stack([moments[:_KEPT, None] * column_basis - sign * backward, backward])
 
     # Corrections go where the peak is, but never to a single node alone.
     narrowest = 1 - 1 / n
     g = jnp.clip(phase.anisotropy, -narrowest, narrowest)
-    near = mean_henyey_greenstein(along, reach, g)
-    near = (near / jax.lax.stop_gradient(near.max(1, keepdims=True))) ** 3
-    collect = 0.5 * into * weight[None]
-    missed = wanted - jnp.einsum("li,sij->slj", collect, means)
-    same, opposite = means + _correction(near, into, weight, missed)
+    kernel = mean_henyey_greenstein(centre, amplitude, g)
+    kernel = (kernel / jax.lax.stop_gradient(kernel.max(1, keepdims=True))) ** 3
+    collect = 0.5 * row_basis * weight[None]
+    residuals = targets - jnp.einsum("li,sij->slj", collect, means)
+    same, opposite = means + _correction(kernel, row_basis, weight, residuals)
 
     # Each column sends out what it gets, to rounding.
-    lost = 1 - 0.5 * weight @ (same + opposite)
-    same = same.at[np.arange(n), np.arange(n)].add(2 * lost[:n] / weight)
-    more = lost[n:] / (0.5 * weight @ same[:, n:])
-    return same.at[:, n:].multiply(1 + more[None]), opposite
+    deficit = 1 - 0.5 * weight @ (same + opposite)
+    same = same.at[np.arange(n), np.arange(n)].add(2 * deficit[:n] / weight)
+    scale = deficit[n:] / (0.5 * weight @ same[:, n:])
+    return same.at[:, n:].multiply(1 + scale[None]), opposite
 
 
-def _correction(near, into, weight, missed):
+def _correction(kernel, basis, weight, residuals):
     """Find the values at nodes with half-range moments `missed` (senses, moments, columns) whose
     mean square, divided by the weight `near` (senses, nodes, columns), is least.
 
     It uses orthogonal polynomials: beside a sharp peak the normal equations lose float32's digits.
     """
-    root, known, found = jnp.sqrt(near * weight[None, :, None]), [], 0.0
+    root, orthogonal, values = jnp.sqrt(kernel * weight[None, :, None]), [], 0.0
     for order in range(_KEPT):
-        v, m = root * into[order][None, :, None], missed[:, order]
-        for q, moment in 2 * known:  # twice is enough
-            along = (v * q).sum(1)
-            v, m = v - along[:, None] * q, m - along * moment
+        v, m = root * basis[order][None, :, None], residuals[:, order]
+        for q, moment in 2 * orthogonal:  # twice is enough
+            overlap = (v * q).sum(1)
+            v, m = v - overlap[:, None] * q, m - overlap * moment
         size = jnp.sqrt((v * v).sum(1))
-        known.append((v / size[:, None], m / size))
-        found = found + known[-1][0] * known[-1][1][:, None]
-    return 2 * jnp.sqrt(near / weight[None, :, None]) * found
+        orthogonal.append((v / size[:, None], m / size))
+        values = values + orthogonal[-1][0] * orthogonal[-1][1][:, None]
+    return 2 * jnp.sqrt(kernel / weight[None, :, None]) * values
 
 
 def series_value(moments: jax.Array, cosine: jax.Array) -> jax.Array:

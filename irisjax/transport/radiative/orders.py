@@ -100,10 +100,10 @@ def unscattered_beam(abl: jax.Array, depth: jax.Array, beams: Ordinates) -> Beam
 def angular_profile(abl: jax.Array, depth: jax.Array, d: Ordinates) -> AngularProfile:
     """`AngularProfile` of a stroma under an ABL of these optical depths."""
     upper = abl_shares(abl, d)
-    through, gone = survival(depth, d.cosine), attenuation(depth, d.cosine)
-    series, _ = reflections(through, gone, *boundaries(upper, d))
+    through, loss = survival(depth, d.cosine), attenuation(depth, d.cosine)
+    series, _ = reflections(through, loss, *boundaries(upper, d))
     back = through * d.bottom[0]
-    return AngularProfile(series, back, series * gone * (1 + back), upper)
+    return AngularProfile(series, back, series * loss * (1 + back), upper)
 
 
 def with_scattered(
@@ -160,9 +160,9 @@ def conserving_order(
     top, bottom = slab.leaving_each(angle, 1)
     flux = nodes.weight * nodes.cosine
     # What each unknown takes from the light in the slab: absorbed by it, or sent out of it.
-    lost = top * (upper.passed + upper.absorbed)[None] + bottom * nodes.bottom[1][None]
-    taken = (source * flux[None]) @ lost.T
-    balance = taken.at[0, :: slab.n_depths].add(coalbedo * slab.widths).ravel()
+    loss = top * (upper.passed + upper.absorbed)[None] + bottom * nodes.bottom[1][None]
+    sink = (source * flux[None]) @ loss.T
+    balance = sink.at[0, :: slab.n_depths].add(coalbedo * slab.widths).ravel()
     columns = right.reshape(balance.size, -1)
     moments = slab.solve(system, columns, balance, beam.lost @ power).reshape(right.shape)
     mean = moments.mean(-1)
@@ -187,18 +187,18 @@ def single_scattering(
 
     `phase`: p of the scattering angle's cosine; `azimuth` 0 is straight on.
     """
-    before, after = (angular_profile(abl, depth, d) for d in (beam, exits))
-    cosine, series, back = beam.cosine[0], before.series[0], before.back[0]
+    incident, emergent = (angular_profile(abl, depth, d) for d in (beam, exits))
+    cosine, series, back = beam.cosine[0], incident.series[0], incident.back[0]
     a, b = 1 / cosine, 1 / exits.cosine
-    turned = depth * mean_survival(depth * (a + b))
-    along = depth * survival(depth, jnp.maximum(cosine, exits.cosine))
-    along = along * mean_survival(depth * jnp.abs(a - b))
+    backward = depth * mean_survival(depth * (a + b))
+    forward = depth * survival(depth, jnp.maximum(cosine, exits.cosine))
+    forward = forward * mean_survival(depth * jnp.abs(a - b))
     across = jnp.maximum((1 - cosine**2) * (1 - exits.cosine**2), 0.0)
     sideways, straight = jnp.cos(azimuth) * jnp.sqrt(across), cosine * exits.cosine
-    away, on = (phase(c + sideways) for c in (-straight, straight))
-    paths = away * turned * (1 + back * after.back) + on * along * (back + after.back)
-    into = abl_shares(abl, beam, from_stroma=False).passed[0] * series
-    return 0.5 * albedo * into * after.series * paths * a * b
+    p_b, p_f = (phase(c + sideways) for c in (-straight, straight))
+    paths = p_b * backward * (1 + back * emergent.back) + p_f * forward * (back + emergent.back)
+    entry = abl_shares(abl, beam, from_stroma=False).passed[0] * series
+    return 0.5 * albedo * entry * emergent.series * paths * a * b
 
 
 def azimuthal(beam: Ordinates, exits: Ordinates, azimuth: jax.Array) -> jax.Array:
@@ -217,5 +217,5 @@ def azimuthal(beam: Ordinates, exits: Ordinates, azimuth: jax.Array) -> jax.Arra
 def collided_share(abl: jax.Array, depth: jax.Array, d: Ordinates) -> jax.Array:
     """Share of light along directions that the stroma absorbs or scatters, times (1 + τ)/τ."""
     profile = angular_profile(abl, depth, d)
-    each = mean_survival(depth / d.cosine) / d.cosine
-    return profile.series * (1 + profile.back) * each * (1 + depth)
+    mean = mean_survival(depth / d.cosine) / d.cosine
+    return profile.series * (1 + profile.back) * mean * (1 + depth)

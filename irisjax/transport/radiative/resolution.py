@@ -35,7 +35,7 @@ def panels_for(layers: Layers, n_depths: int, slant: Real = 1.0) -> int | None:
     return _MOST_PANELS
 
 
-def seen_depth(extinction: jax.Array, coalbedo: jax.Array) -> jax.Array:
+def effective_depth(extinction: jax.Array, coalbedo: jax.Array) -> jax.Array:
     """Return the optical depth of a slab down to where it is dark: all of it, unless it is opaque.
 
     Light deep in a slab decays faster than e^{−τ√(1 − ω)}.
@@ -69,7 +69,7 @@ def _coarseness(layers: Layers, n_depths: int, n_panels: int, slant: Real = 1.0)
     (test_depth_resolved.py checks it at other points). Light scattered twice makes the error, hence
     the albedo's square.
     """
-    depth = seen_depth(layers.extinction, layers.coalbedo)
+    depth = effective_depth(layers.extinction, layers.coalbedo)
     outer = depth * (fractions(n_panels)[0] * 8 / n_depths)
     # The second is what it takes to follow the beam itself where next to nothing scatters.
     twice = jnp.cbrt(layers.albedo) ** 2 * outer * (8 / n_depths) ** (4 / 3)
@@ -133,32 +133,32 @@ def _angular_error(layers: Layers, phase: PhaseMixture, n_angles: int, cosine, p
     """
     n, g = layers.indices, phase.anisotropy
     depth = jnp.where(layers.albedo > 0, layers.extinction, 0.0)
-    whole, forwards = jnp.where(depth > 0, depth, 1.0), g > 0
+    safe_depth, forwards = jnp.where(depth > 0, depth, 1.0), g > 0
     # Worst where the beam is scattered about once. Thinner it is followed exactly; thicker it
     # forgets where it came from, unless it is absorbed first.
-    thin = (whole / 0.005) ** 0.7
-    thick = 0.15 * jnp.maximum(1 / whole, jnp.sqrt(jnp.clip(2 * layers.coalbedo, 0.0, 1.0)))
-    near = jnp.clip(0.03 / cosine, 1.0, 3.0) * jnp.minimum(1.0, jnp.square(0.08 / cosine))
+    thin = (safe_depth / 0.005) ** 0.7
+    thick = 0.15 * jnp.maximum(1 / safe_depth, jnp.sqrt(jnp.clip(2 * layers.coalbedo, 0.0, 1.0)))
+    angular = jnp.clip(0.03 / cosine, 1.0, 3.0) * jnp.minimum(1.0, jnp.square(0.08 / cosine))
     # Each beam counts as it is scattered: of thin layers the grazing ones most.
     # Beams share a depth below rounding as they do the least above it.
-    met = power[None] * -jnp.expm1(-jnp.maximum(whole, 1e-30)[:, None] / cosine[None])
-    near = (met * near[None]).sum(1) / met.sum(1)
+    share = power[None] * -jnp.expm1(-jnp.maximum(safe_depth, 1e-30)[:, None] / cosine[None])
+    angular = (share * angular[None]).sum(1) / share.sum(1)
     # Beside a critical angle, where all that grazes outside enters, nodes are as far as anywhere.
     outside = refract(cosine, n.stroma, n.aqueous)
     oblique = jnp.where(n.stroma > n.aqueous, power @ (0.07 / (1 + outside / 0.08)), 0.0)
     spread = jnp.minimum(1.0, jnp.minimum(thin, thick))
-    grazing = jnp.maximum(0.12 * near, oblique) * spread
+    grazing = jnp.maximum(0.12 * angular, oblique) * spread
     # Light scattered oftener, or sent back by interfaces, comes along all directions.
     mirrored_below = (n.stroma > n.ipe) | (layers.ipe_absorption is not None)
     trapped = mirrored_below & (n.stroma > n.aqueous)
-    most, from_ = jnp.where(trapped, 0.025, 0.011), jnp.where(trapped, 0.3, 0.02)
-    known = jnp.where(forwards, jnp.minimum(1.0, (whole / from_) ** 0.7), 1.0)
-    others = most * known * max(1.0, (16 / n_angles) ** 4)
-    sharp = _beyond(phase, n_angles) * jnp.maximum(jnp.where(forwards, grazing, 0.0), others)
+    ceiling, onset = jnp.where(trapped, 0.025, 0.011), jnp.where(trapped, 0.3, 0.02)
+    growth = jnp.where(forwards, jnp.minimum(1.0, (safe_depth / onset) ** 0.7), 1.0)
+    diffuse = ceiling * growth * max(1.0, (16 / n_angles) ** 4)
+    sharp = _beyond(phase, n_angles) * jnp.maximum(jnp.where(forwards, grazing, 0.0), diffuse)
     # Critical angles share out the nodes, whatever the phase function.
     critical = n.stroma > jnp.minimum(jnp.minimum(n.aqueous, n.abl), n.ipe)
-    few = jnp.where(critical, 0.03 * (6 / n_angles) ** 8, 0.0)
-    return jnp.where(depth > 0, jnp.maximum(sharp, few), 0.0)
+    split = jnp.where(critical, 0.03 * (6 / n_angles) ** 8, 0.0)
+    return jnp.where(depth > 0, jnp.maximum(sharp, split), 0.0)
 
 
 def _conditioned(layers: Layers):

@@ -87,8 +87,8 @@ class Slab:
 
     def images(self, cosine: jax.Array, upper: Shares, lower: Shares) -> Images:
         """Mirror images along directions (angles,), between boundaries as for `bounded`."""
-        through, lost = survival(self.depth, cosine), attenuation(self.depth, cosine)
-        series, _ = reflections(through, lost, upper, lower)
+        through, loss = survival(self.depth, cosine), attenuation(self.depth, cosine)
+        series, _ = reflections(through, loss, upper, lower)
         across = upper[0] * series * (lower[0] * through)
         return Images(series, upper[0] * series, across, lower[0] * series)
 
@@ -135,27 +135,27 @@ class Slab:
         overlap = jnp.asarray(
             2 * (2 * np.arange(n) + 1)[:, None, None] * _overlap(n), self.depth.dtype
         )
-        own = b.emitted @ (weighted[:, None] * f[None]).reshape(rank * rank, -1).T
-        own = jnp.einsum("ijc,pclk->plikj", overlap, own.reshape(panels, 2 * n, rank, rank))
+        terms = b.emitted @ (weighted[:, None] * f[None]).reshape(rank * rank, -1).T
+        terms = jnp.einsum("ijc,pclk->plikj", overlap, terms.reshape(panels, 2 * n, rank, rank))
         for p in range(panels):
-            out = out.at[:, p, :, :, p, :].add(own[p])
+            out = out.at[:, p, :, :, p, :].add(terms[p])
         # One panel on another: what leaves the one, thinned by the gap.
         start, emitted = b.start[:, :n] * self._norms, b.emitted[:, :n]
         mirrored_start, mirrored = self._signs * start, self._signs * emitted
-        for apart in range(1, panels):
-            above = np.arange(panels - apart)
-            under = above + apart
+        for separation in range(1, panels):
+            upper = np.arange(panels - separation)
+            lower = upper + separation
             gap = self.depth * jnp.asarray(
-                self.edges[under] - self.edges[above + 1], self.depth.dtype
+                self.edges[lower] - self.edges[upper + 1], self.depth.dtype
             )
-            survived = jnp.exp(-gap[:, None, None] / b.cosine[None, None, :])
-            thinned = weighted[None] * survived
+            transmission = jnp.exp(-gap[:, None, None] / b.cosine[None, None, :])
+            attenuated = weighted[None] * transmission
             pairs = jax.vmap(_between, in_axes=(0, 0, None, 0))
-            down = pairs(thinned, start[under], f, mirrored[above])
-            up = pairs(thinned, mirrored_start[above], f, emitted[under])
-            shape = (panels - apart, rank, n, rank, n)
-            out = out.at[:, under, :, :, above, :].add(down.reshape(shape))
-            out = out.at[:, above, :, :, under, :].add(up.reshape(shape))
+            down = pairs(attenuated, start[lower], f, mirrored[upper])
+            up = pairs(attenuated, mirrored_start[upper], f, emitted[lower])
+            shape = (panels - separation, rank, n, rank, n)
+            out = out.at[:, lower, :, :, upper, :].add(down.reshape(shape))
+            out = out.at[:, upper, :, :, lower, :].add(up.reshape(shape))
         return out.reshape(rank * panels * n, rank * panels * n)
 
     def moments_of_images(
@@ -165,8 +165,8 @@ class Slab:
         _, _, downward, upward = self._sources(b, parity)
         entering_top, entering_bottom = self._tests(b)
         entering = jnp.concatenate([entering_top, _signed(parity, entering_bottom)], axis=-1)
-        sent = jnp.concatenate([downward, upward], axis=-1)
-        return _between(jnp.tile(weight[None, :] * f, 2), entering, jnp.tile(f, 2), sent)
+        outgoing = jnp.concatenate([downward, upward], axis=-1)
+        return _between(jnp.tile(weight[None, :] * f, 2), entering, jnp.tile(f, 2), outgoing)
 
     def driving_each(self, b: Bounded, parity: Parity) -> jax.Array:
         """Moments of beams of radiance 1 that enter at the top, (panels·orders, beams)."""
@@ -205,16 +205,16 @@ class Slab:
         """
         empty = self.depth <= 0
         scale = 1 / jnp.where(empty, 1.0, self.depth)
-        which = self.n_panels // 2 * self.n_depths  # the mean over the thickest panel
-        system = system.at[which].set(jnp.where(empty, system[which], balance * scale))
-        right = right.at[which].set(jnp.where(empty, right[which], lost_beam * scale))
+        row = self.n_panels // 2 * self.n_depths  # the mean over the thickest panel
+        system = system.at[row].set(jnp.where(empty, system[row], balance * scale))
+        right = right.at[row].set(jnp.where(empty, right[row], lost_beam * scale))
         # Eliminated last, where a small pivot is the small loss of light that it stands for.
-        order = np.append(np.delete(np.arange(right.shape[0]), which), which)
+        order = np.append(np.delete(np.arange(right.shape[0]), row), row)
         x = linear.solve(system[order][:, order], right[order])[np.argsort(order)]
-        spent = balance @ x
+        loss = balance @ x
         # Of less light the quotient's derivative would underflow.
-        dark = spent <= jnp.finfo(spent.dtype).tiny ** 0.5
-        return x * jnp.where(dark, 1.0, lost_beam / jnp.where(dark, 1.0, spent))[None, :]
+        dark = loss <= jnp.finfo(loss.dtype).tiny ** 0.5
+        return x * jnp.where(dark, 1.0, lost_beam / jnp.where(dark, 1.0, loss))[None, :]
 
 
 def _signed(parity, x):
@@ -247,22 +247,22 @@ def _legendre_moments(x, count: int):
     z_thin, inverse = jnp.where(thick, 1.0, z), 1 / jnp.where(thick, z, 100.0)
     top = count + 14
     square = z_thin * z_thin
-    now, after = jnp.ones_like(z), (2 * top + 3) / (top + 1 + jnp.sqrt((top + 1.5) ** 2 + square))
+    j_k, j_k1 = jnp.ones_like(z), (2 * top + 3) / (top + 1 + jnp.sqrt((top + 1.5) ** 2 + square))
     thin = []
     for k in range(top, 0, -1):
-        now, after = now + square * (1 / ((2 * k + 1) * (2 * k + 3))) * after, now
+        j_k, j_k1 = j_k + square * (1 / ((2 * k + 1) * (2 * k + 3))) * j_k1, j_k
         if k <= count:
-            thin.append(now)
+            thin.append(j_k)
     thin.reverse()
     first = mean_survival(x)
     power = first / thin[0]
     # coth z is 1 to the last bit here.
-    before, last = first, -first * (1 - inverse)
+    previous, last = first, -first * (1 - inverse)
     moments = [first]
     for k in range(1, count):
         power = -power * z_thin * (1 / (2 * k + 1))
         moments.append(jnp.where(thick, last, power * thin[k]))
-        before, last = last, before + (2 * k + 1) * inverse * last
+        previous, last = last, previous + (2 * k + 1) * inverse * last
     return jnp.stack(moments, axis=-2)
 
 

@@ -64,45 +64,45 @@ class RadiativeTabulated(AbstractSolver):
     def solve(self, layers: Layers, light: Light, *, key: PRNGKey | None = None) -> Solution:
         check_layers(self, layers, black=True)
         # More than 16 take XLA at least four times as long.
-        lit = beams_and_exits(layers, light, 16, interfaces=0)
+        rays = beams_and_exits(layers, light, 16, interfaces=0)
         flux = call_with_layout(
             RadiativeTabulated._flux,
             layers.extinction,
-            *(self, layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo, lit),
+            *(self, layers.abl_absorption, layers.extinction, layers.albedo, layers.coalbedo, rays),
         )
-        held = (self.holds(layers), RESULTS.outside_table)
-        return flux.solution(outcome(layers.valid(), held))
+        check = (self.holds(layers), RESULTS.outside_table)
+        return flux.solution(outcome(layers.valid(), check))
 
     def holds(self, layers: Layers) -> Bool[Array, ""]:
         """Whether the table has these layers' indices, depths and albedos."""
         depth = layers.extinction * (1 - 8 * jnp.finfo(layers.extinction.dtype).eps)
-        held = (depth <= DEEPEST) | (layers.coalbedo >= _ABSORBING)
-        return self.indices.same(layers.indices) & held.all()
+        covered = (depth <= DEEPEST) | (layers.coalbedo >= _ABSORBING)
+        return self.indices.same(layers.indices) & covered.all()
 
-    def _flux(self, abl, depth, albedo, coalbedo, lit: BeamsAndExits) -> Flux:
+    def _flux(self, abl, depth, albedo, coalbedo, rays: BeamsAndExits) -> Flux:
         """Shares of the light, one value a wavelength."""
-        power = lit.power
-        beam = jax.vmap(orders.unscattered_beam, (0, 0, None))(abl, depth, lit.beams)
-        after = self._after(abl, depth, coalbedo, lit.beams.cosine)
-        first = beam.lost * albedo[:, None]
+        power = rays.power
+        beam = jax.vmap(orders.unscattered_beam, (0, 0, None))(abl, depth, rays.beams)
+        fates = self._scattered_fates(abl, depth, coalbedo, rays.beams.cosine)
+        scattered = beam.lost * albedo[:, None]
         # The fates are shares of one: what little the tables miss is shared out among the rest.
-        ends = after.abl, after.ipe, coalbedo[:, None] * after.collisions
-        rest = (1 - after.out) / sum(ends)
-        in_abl, in_ipe, in_stroma = (x * rest for x in ends)
+        sinks = fates.abl, fates.ipe, coalbedo[:, None] * fates.collisions
+        scale = (1 - fates.out) / sum(sinks)
+        in_abl, in_ipe, in_stroma = (x * scale for x in sinks)
         return Flux(
-            reflectance=(beam.reflected + first * after.out) @ power,
-            mirrored=(beam.mirrored * jnp.ones_like(first)) @ power,
-            abl=(beam.abl + first * in_abl) @ power,
-            stroma=(beam.lost * coalbedo[:, None] + first * in_stroma) @ power,
-            ipe=(beam.passed + first * in_ipe) @ power,
-            brdf=None if lit.exits is None else self._brdf(abl, depth, albedo, coalbedo, lit),
+            reflectance=(beam.reflected + scattered * fates.out) @ power,
+            mirrored=(beam.mirrored * jnp.ones_like(scattered)) @ power,
+            abl=(beam.abl + scattered * in_abl) @ power,
+            stroma=(beam.lost * coalbedo[:, None] + scattered * in_stroma) @ power,
+            ipe=(beam.passed + scattered * in_ipe) @ power,
+            brdf=None if rays.exits is None else self._brdf(abl, depth, albedo, coalbedo, rays),
         )
 
-    def _after(self, abl, depth, coalbedo, cosine) -> orders.ScatteredFates:
+    def _scattered_fates(self, abl, depth, coalbedo, cosine) -> orders.ScatteredFates:
         """Fates after the first scattering, shape (wavelengths, beams); `cosine`: in the stroma."""
-        at, across = _coordinates(abl, depth, coalbedo), _of_cosine(cosine, self.indices)
-        (out,) = _read(self.out, at, across)
-        absorbed, ipe, collisions = _read(self.ends, at, across)
+        place, angle = _coordinates(abl, depth, coalbedo), _of_cosine(cosine, self.indices)
+        (out,) = _read(self.out, place, angle)
+        absorbed, ipe, collisions = _read(self.ends, place, angle)
         return orders.ScatteredFates(
             out=out * (jnp.exp(-abl) / (1 + abl))[:, None],
             abl=absorbed * -jnp.expm1(-abl)[:, None],
@@ -110,28 +110,28 @@ class RadiativeTabulated(AbstractSolver):
             collisions=collisions,
         )
 
-    def _brdf(self, abl, depth, albedo, coalbedo, lit: BeamsAndExits):
+    def _brdf(self, abl, depth, albedo, coalbedo, rays: BeamsAndExits):
         """BRDF, shape (wavelengths, exits), of light from one direction."""
-        at, table, exits = _coordinates(abl, depth, coalbedo), self.multiple, lit.exits
+        place, table, exits = _coordinates(abl, depth, coalbedo), self.multiple, rays.exits
         core = jnp.einsum(
             "abziof,i,oe->efabz",
             table.core,
-            table.basis(3, _of_cosine(lit.beams.cosine, self.indices))[:, 0],
+            table.basis(3, _of_cosine(rays.beams.cosine, self.indices))[:, 0],
             table.basis(4, _of_cosine(exits.cosine, self.indices)),
         )
-        along = table.basis(0, at.abl)[:, None] * table.basis(2, at.coalbedo)[None]
-        found = jnp.einsum("efabz,bw,azw->wef", core, table.basis(1, at.depth), along)
+        weights = table.basis(0, place.abl)[:, None] * table.basis(2, place.coalbedo)[None]
+        multiple = jnp.einsum("efabz,bw,azw->wef", core, table.basis(1, place.depth), weights)
 
-        def one(abl, depth, albedo, found):
-            lost = orders.unscattered_beam(abl, depth, lit.beams).lost[0]
-            angular = orders.azimuthal(lit.beams, exits, lit.azimuth)
-            taken = orders.collided_share(abl, depth, exits)
-            once = orders.single_scattering(abl, depth, albedo, lit.beams, exits, lit.azimuth)
-            more = albedo**2 * lost * taken * (found.T * angular).sum(0)
+        def brdf_of(abl, depth, albedo, multiple):
+            lost = orders.unscattered_beam(abl, depth, rays.beams).lost[0]
+            angular = orders.azimuthal(rays.beams, exits, rays.azimuth)
+            share = orders.collided_share(abl, depth, exits)
+            single = orders.single_scattering(abl, depth, albedo, rays.beams, exits, rays.azimuth)
+            further = albedo**2 * lost * share * (multiple.T * angular).sum(0)
             passed = orders.angular_profile(abl, depth, exits).abl.passed
-            return passed * lit.to_brdf * (once + more)
+            return passed * rays.to_brdf * (single + further)
 
-        return jax.vmap(one)(abl, depth, albedo, found)
+        return jax.vmap(brdf_of)(abl, depth, albedo, multiple)
 
 
 class _Coordinates(NamedTuple):
@@ -167,11 +167,11 @@ def _of_cosine(cosine, indices: RefractiveIndices):
     return 2 * (cosine - low) / (1 - low) - 1
 
 
-def _read(table: Tucker, at: _Coordinates, cosine):
+def _read(table: Tucker, place: _Coordinates, cosine):
     """A table's functions, each of shape (wavelengths, beams)."""
     core = jnp.einsum("abzmf,mk->fkbaz", table.core, table.basis(3, cosine))
     core = core.reshape(*core.shape[:3], -1)
     # The products of two short axes first: what is written out between is as short as the third.
-    along = table.basis(0, at.abl)[:, None] * table.basis(2, at.coalbedo)[None]
-    along, across = along.reshape(-1, at.abl.size), table.basis(1, at.depth)
-    return [((function @ along) * across[None]).sum(1).T for function in core]
+    products = table.basis(0, place.abl)[:, None] * table.basis(2, place.coalbedo)[None]
+    products, depths = products.reshape(-1, place.abl.size), table.basis(1, place.depth)
+    return [((function @ products) * depths[None]).sum(1).T for function in core]

@@ -18,9 +18,9 @@ from irisjax.transport.radiative.directions import (
     Ordinates,
     abl_shares,
     boundaries,
-    joined_sets,
+    join_sets,
     over_epithelium,
-    parted,
+    split_sets,
 )
 from irisjax.transport.radiative.slab import Bounded, Images, Slab
 
@@ -35,21 +35,21 @@ class PolarisedOrdinates(NamedTuple):
     w: Ordinates
 
 
-class Met(NamedTuple):
+class Passage(NamedTuple):
     """The slab and the ABL for light along directions.
 
     Attributes:
         linear: Depth polynomials of the slab for I_l and I_r, one after the other.
         real, imaginary: Depth polynomials for W, with the real and imaginary parts of its images.
         upper: The ABL for I_l and I_r, one after the other.
-        turned: Share of W that passes the ABL, complex.
+        w_passed: Share of W that passes the ABL, complex.
     """
 
     linear: Bounded
     real: Bounded
     imaginary: Bounded
     upper: Absorber
-    turned: jax.Array
+    w_passed: jax.Array
 
 
 def polarised(make: Callable[..., Ordinates], *where: object) -> PolarisedOrdinates:
@@ -70,32 +70,32 @@ def over_polarised(ipe: jax.Array | None, d: PolarisedOrdinates | None) -> Any:
     """`over_epithelium` of polarised directions; sets may be `None`."""
     if ipe is None or d is None:
         return d
-    whole = turning_layer(ipe, d.w.ipe_cosine, d.w.bottom, d.w.behind)
+    layer = turning_layer(ipe, d.w.ipe_cosine, d.w.bottom, d.w.behind)
     p, s = over_epithelium(ipe, d.p), over_epithelium(ipe, d.s)
-    return PolarisedOrdinates(p, s, d.w._replace(bottom=whole))
+    return PolarisedOrdinates(p, s, d.w._replace(bottom=layer))
 
 
-def meet(slab: Slab, abl: jax.Array, *sets: PolarisedOrdinates | None) -> list[Met]:
-    """`Met` of each of some sets of directions; sets may be `None`."""
-    d = joined_sets(*sets)
-    both = joined_sets(d.p, d.s)
-    upper = abl_shares(abl, both)
+def passages(slab: Slab, abl: jax.Array, *sets: PolarisedOrdinates | None) -> list[Passage]:
+    """`Passage` of each of some sets of directions; sets may be `None`."""
+    d = join_sets(*sets)
+    linear_set = join_sets(d.p, d.s)
+    upper = abl_shares(abl, linear_set)
     turning = turning_layer(abl, d.w.abl_cosine, d.w.top, d.w.surface)
     of_w = _turning_images(slab.depth, d.w, turning)
-    along = slab.imaged(d.p.cosine, of_w)
-    linear = slab.images(both.cosine, *boundaries(upper, both))
-    apart = jax.tree.map(lambda x: x.reshape(2, -1), (linear, upper))
-    found = []
-    for x in parted((along, apart, turning.passed), *(s and s.p for s in sets)):
-        along, of_both, turned = x
-        linear, upper = jax.tree.map(jnp.ravel, of_both)
+    paths = slab.imaged(d.p.cosine, of_w)
+    linear = slab.images(linear_set.cosine, *boundaries(upper, linear_set))
+    pairs = jax.tree.map(lambda x: x.reshape(2, -1), (linear, upper))
+    results = []
+    for x in split_sets((paths, pairs, turning.passed), *(s and s.p for s in sets)):
+        paths, pair, w_passed = x
+        linear, upper = jax.tree.map(jnp.ravel, pair)
         real, imaginary = (
-            along._replace(images=jax.tree.map(part, along.images)) for part in (jnp.real, jnp.imag)
+            paths._replace(images=jax.tree.map(part, paths.images)) for part in (jnp.real, jnp.imag)
         )
-        found.append(
-            Met(joined_sets(real, real)._replace(images=linear), real, imaginary, upper, turned)
+        results.append(
+            Passage(join_sets(real, real)._replace(images=linear), real, imaginary, upper, w_passed)
         )
-    return found
+    return results
 
 
 class TurningLayer(NamedTuple):
@@ -113,12 +113,12 @@ def turning_layer(
     face.
     """
     through, twice = (_complex(survival(x, cosine)) for x in (depth, 2 * depth))
-    gone = attenuation(2 * depth, cosine)
-    series = _series(gone, twice, near, far)
+    loss = attenuation(2 * depth, cosine)
+    series = _series(loss, twice, near, far)
     passed, contrast = _complex(near.passed), _complex(near.contrast)
-    once = _complex(gone) + twice * far.lost
+    round_trip = _complex(loss) + twice * far.lost
     reflected = near.reflected + passed * passed * twice * far.reflected * series
-    lost = series * (near.lost * once + twice * far.reflected * contrast * contrast)
+    lost = series * (near.lost * round_trip + twice * far.reflected * contrast * contrast)
     # Light that its near face reflects totally does not enter the layer.
     total = near.passed == 0
     return TurningLayer(
@@ -140,31 +140,31 @@ def unscattered(
     abl: jax.Array,
     depth: jax.Array,
     d: Ordinates,
-    met: Met,
+    path: Passage,
     outside: jax.Array,
     n: RefractiveIndices,
 ) -> tuple[jax.Array, jax.Array]:
     """Compute the W of beams (cosines `outside` in the aqueous humour) that the first surface and
-    the inner interfaces reflect without scattering; `met` describes the layers for the beams.
+    the inner interfaces reflect without scattering; `path` describes the layers for the beams.
     """
     inside = refract(outside, n.aqueous, n.abl)
-    first = coherence(outside, inside, n.aqueous, n.abl)
-    under = coherence(inside, refract(outside, n.aqueous, n.stroma), n.abl, n.stroma)
+    surface = coherence(outside, inside, n.aqueous, n.abl)
+    inner = coherence(inside, refract(outside, n.aqueous, n.stroma), n.abl, n.stroma)
     twice = _complex(survival(2 * abl, d.abl_cosine))
-    series = _series(attenuation(2 * abl, d.abl_cosine), twice, d.surface, under)
-    entered = _complex(first.passed)
-    back = entered * entered * twice * under.reflected * series
-    below = lax.complex(met.real.images.bottom, met.imaginary.images.bottom)
-    again = met.turned * met.turned * _complex(survival(2 * depth, d.cosine)) * below
-    return first.reflected, back + again
+    series = _series(attenuation(2 * abl, d.abl_cosine), twice, d.surface, inner)
+    transmission = _complex(surface.passed)
+    abl_image = transmission * transmission * twice * inner.reflected * series
+    below = lax.complex(path.real.images.bottom, path.imaginary.images.bottom)
+    stroma_image = path.w_passed * path.w_passed * _complex(survival(2 * depth, d.cosine)) * below
+    return surface.reflected, abl_image + stroma_image
 
 
-def _series(gone, twice, near, far):
+def _series(loss, twice, near, far):
     """1/(1 − t² ρ ρ') without cancellation, 0 where nothing is ever lost."""
-    lost = _complex(gone) + twice * (near.lost + near.reflected * far.lost)
-    sealed = (jnp.real(lost) == 0) & (jnp.imag(lost) == 0)
-    one = lax.complex(jnp.ones_like(gone), jnp.zeros_like(gone))
-    return jnp.where(sealed, 0 * one, one / jnp.where(sealed, one, lost))
+    escape = _complex(loss) + twice * (near.lost + near.reflected * far.lost)
+    trapped = (jnp.real(escape) == 0) & (jnp.imag(escape) == 0)
+    unit = lax.complex(jnp.ones_like(loss), jnp.zeros_like(loss))
+    return jnp.where(trapped, 0 * unit, unit / jnp.where(trapped, unit, escape))
 
 
 def _complex(x):
