@@ -33,29 +33,22 @@ _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red a class.
 _THICKNESS = {"hazel": 0.35, "amber": 0.45, "brown": 0.35}
 _IRIDES = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.0182, 0.00738, 0.0244, 0.208, 7.35), (0.015, 0.00407, 0.024, 0.147, 13.8)),
-    "grey": ((0.0773, 0.0311, 0.512, 0.148, 9.92), (0.0354, 0.0702, 0.565, 0.113, 17.6)),
-    "green": ((0.0065, 0.452, 0.98, 0.0135, 18.3), (0.0248, 0.61, 0.98, 0.0288, 32.5)),
-    "hazel": ((0.459, 0.597, 0.66, 0.249, 34.8), (0.202, 0.74, 0.58, 0.187, 31.9)),
-    "amber": ((0.0569, 0.843, 0.569, 0.201, 40.0), (0.0597, 0.624, 0.944, 0.0867, 36.9)),
-    "brown": ((0.228, 1.08, 0.739, 0.359, 38.1), (0.207, 0.681, 0.742, 0.262, 35.1)),
-    "dark-brown": ((1.26, 0.251, 0.458, 0.0816, 28.6), (0.796, 0.329, 0.474, 0.103, 31.8)),
+    "blue": ((0.0219, 0.00724, 0.0274, 0.219, 7.45), (0.0224, 0.00399, 0.0519, 0.157, 14.1)),
+    "grey": ((0.0749, 0.0322, 0.518, 0.153, 9.97), (0.0321, 0.0455, 0.563, 0.12, 17.7)),
+    "green": ((0.00729, 0.492, 0.98, 0.0144, 17.0), (0.026, 0.676, 0.975, 0.0303, 28.9)),
+    "hazel": ((0.514, 0.576, 0.645, 0.257, 37.0), (0.208, 0.733, 0.582, 0.193, 32.4)),
+    "amber": ((0.0578, 0.821, 0.577, 0.223, 39.9), (0.0227, 0.738, 0.833, 0.0929, 37.3)),
+    "brown": ((0.22, 1.1, 0.735, 0.374, 38.0), (0.22, 0.631, 0.74, 0.277, 35.1)),
+    "dark-brown": ((1.34, 0.315, 0.469, 0.0796, 29.2), (0.852, 0.301, 0.462, 0.109, 31.5)),
 }
 _FEATURES: dict[str, dict[str, Any]] = {
-    "blue": {
-        "fibres": 1.15,
-        "crypts": 9,
-        "patches": 0.5,
-        "furrows": 2,
-        "clouds": 1.3,
-        "looseness": 0.6,
-    },
-    "grey": {"patches": 0.8, "crypts": 18, "collarette": 1.4, "looseness": 1.2, "clouds": 0.7},
+    "blue": {"crypts": 9, "patches": 0.5, "furrows": 2, "clouds": 0.4},
+    "grey": {"patches": 0.8, "crypts": 18, "collarette": 1.4, "looseness": 0.7, "clouds": 0.4},
     "green": {"amber": 1.5, "heterochromia": 2.0, "patches": 0.8, "crypts": 18, "abl": 0.5},
     "hazel": {"heterochromia": 2.5, "patches": 0.5, "abl": 0.9, "freckles": 4, "crypts": 8},
-    "amber": {"heterochromia": 0.5, "patches": 0.5, "abl": 0.6, "crypts": 5, "looseness": 0.2},
-    "brown": {"abl": 0.6, "patches": 0.3, "crypts": 7, "furrows": 6},
-    "dark-brown": {"abl": 0.6, "patches": 0.3, "crypts": 5, "furrows": 7, "looseness": 0.2},
+    "amber": {"heterochromia": 0.5, "patches": 0.9, "abl": 0.6, "crypts": 5, "looseness": 0.2},
+    "brown": {"abl": 0.6, "patches": 0.8, "crypts": 7, "furrows": 6},
+    "dark-brown": {"abl": 0.6, "patches": 0.6, "crypts": 5, "furrows": 7, "looseness": 0.2},
 }
 
 
@@ -81,7 +74,7 @@ def preset(
     other soft tissues have. Hazel, brown and amber take a stroma of 0.35, 0.35 and 0.45 mm beside
     it. Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
     Exp. Eye Res. 67, 293]. The redness of photographed irides takes more blood than LB06's 0.084
-    mmol/l, at most 0.359, a sixth of pure blood; its saturation is 0.95, as in the choroid, where
+    mmol/l, at most 0.374, a sixth of pure blood; its saturation is 0.95, as in the choroid, where
     0.5 would take twice as much. Fibrils have LB06's radius, whose effect is that of the strength.
     Hazel and green eyes are browner near the pupil, where their maps add eumelanin.
 
@@ -107,7 +100,7 @@ def preset(
     chosen |= {"saturation": _SATURATION, "stroma_thickness": thickness}
     iris = Iris().replace(**chosen).replace(**dict(pigments or {}))
     # The relief is a share of the thickness: as high as of the others.
-    wanted: dict[str, Any] = {"relief": 0.3 * 0.2855 / thickness}
+    wanted: dict[str, Any] = {"relief": 0.1 * 0.2855 / thickness, "fibres": 1.5, "clouds": 0.6}
     wanted |= _FEATURES.get(colour, {}) | dict(features or {})
     return iris, procedural(iris, eye, shape=shape, **wanted, key=key)
 

@@ -2,9 +2,9 @@
 
 The stroma follows the ultrasound profile of [F09 Section 3] and has two layers. A meshwork of fine
 fibres that lean to either side and cross lies below; above it cords of uneven thickness are
-gathered in bundles, which part and join. Fuchs's crypts are gaps between bundles, open in a wreath
-outside the collarette. Density, sharpness and pigment vary in clouds, sectors and rings.
-Features are drawn from what photographs show, not fitted to anything.
+gathered in bundles, which part and join; slits part them in the pupillary zone. Fuchs's crypts are
+gaps between bundles, open in a wreath outside the collarette. Density, sharpness and pigment vary
+in clouds, sectors and rings. Features are drawn from what photographs show, not fitted to anything.
 """
 
 import math
@@ -28,7 +28,7 @@ from irisjax.tissue.maps import IrisMaps, cell_centres
 IPE_THICKNESS = 0.07
 """Iris pigment epithelium, mm, part of what ultrasound measures  [F09 Section 3]."""
 COLLARETTE = 0.30  # mean place of the collarette between the pupil's edge (0) and the root (1)
-STROMA, ABL, MELANIN = (0.15, 2.0), (0.5, 1.6), (0.4, 2.5)
+STROMA, ABL, MELANIN = (0.1, 1.7), (0.5, 1.6), (0.4, 2.5)
 """Least and most of a map relative to its mean: wider ones cost the renderer's tables accuracy."""
 FOLD = 0.025  # height of a contraction furrow's crest, mm
 REST = 1.9
@@ -59,7 +59,7 @@ def procedural(
     amber: float = 0.0,
     patches: float = 0.0,
     ruff: float = 1.0,
-    relief: float = 0.3,
+    relief: float = 0.1,
     key: PRNGKey,
 ) -> IrisMaps:
     """Grow the maps of an invented iris; a map that no feature needs is absent.
@@ -150,8 +150,8 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, much, key) -> dict[str, No
     pressed = rest.ring_area(radius) / eye.ring_area(radius)
     total = (eye.iris_radius**2 - REST**2) / (eye.iris_radius**2 - eye.pupil_radius**2)
     loose = much["looseness"] * smoothstep(0.5 + 1.6 * open_)
-    focus = 0.3 + 0.7 * smoothstep(0.55 + 1.4 * blur)
-    bent = turns + slack * (0.006 * bend + 0.003 * loose * arc)
+    focus = 0.6 + 0.4 * smoothstep(0.55 + 1.4 * blur)
+    bent = turns + slack * (0.006 * bend + (0.0015 + 0.003 * loose) * arc)
     ring = COLLARETTE + _wander(wreath, turns)
     pitch = 2 * jnp.pi * place / FINEST  # fibres that find room round this ring
     share = much["crypts"] / WREATH * jnp.exp(2 * open_)
@@ -159,8 +159,11 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, much, key) -> dict[str, No
     bent, hole, seam, rough = _bundles(*cells)
     crest = _furrows(furrows, turns, radius, much["furrows"])
     lean = (0.02 + 0.05 * loose) * (radius + 0.1 * arc)
-    cords, mesh, streak = _fibres(fibres, bent, lean, radius, slack, pitch, shape[0])
+    cords, mesh, streak, gap = _fibres(fibres, bent, lean, radius, slack, pitch, shape[0])
     outside = smoothstep((rough - ring) / 0.06 + 0.5)
+    # Between the cords of the pupillary zone lie slits, which narrow outwards.
+    taper = jnp.maximum(1 - radius / (ring * (0.75 + 0.6 * mist)), 0.0)
+    slit = jnp.exp(-((4 * gap) ** 2) / (taper + 1e-3)) * smoothstep(6 * taper)
     # Near the root the cords bend into arcs.
     root = jnp.exp(-((3 * arc) ** 2)) * smoothstep((radius - 0.6) / 0.3)
     hole = hole * smoothstep((1.1 - cords) / 0.5)  # cords bridge an opening
@@ -169,11 +172,12 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, much, key) -> dict[str, No
     within = clear * ((0.5 + 0.7 * hole) * mesh + 0.2 * wool + 0.3 * streak + 0.4 * root)
     upper = (0.9 + 0.8 * outside) * (cords - 0.3) + 0.8 * outside * loose * (seam - 0.3)
     surface = clear * upper
+    surface -= 0.6 * much["fibres"] * (1 - focus)  # as thick as between the cords
     surface += much["clouds"] * (0.45 * cloud + 0.35 * wide + 0.35 * mist) * (0.4 + 0.6 * outside)
     surface += much["collarette"] * _wreath(wreath, turns, rough, ring)
-    surface -= 0.5 * hole
+    surface -= 0.5 * hole + 0.4 * clear * slit
     rim = jnp.where(much["ruff"] > 0, _ruff(wreath, turns, radius / slack), 0.0)
-    within -= 2.5 * much["ruff"] * rim + 0.6 * hole
+    within -= 2.5 * much["ruff"] * rim + 0.6 * hole + 0.8 * clear * slit
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
     stroma *= pressed * jnp.exp(surface + within)
     mottled = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * (cords - 0.3)
@@ -186,7 +190,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, much, key) -> dict[str, No
     brown = 1 + much["heterochromia"] * inner * (1 + 0.7 * mist)
     root = smoothstep((radius - 0.86 + 0.12 * cloud) / 0.16)
     dark = 0.8 * cloud + 0.6 * jnp.tanh(4 * wide) + 0.6 * mist + 0.5 * streak + 0.9 * root
-    dark += 2.0 * rim + 3.0 * hole - clear * (1.5 * (cords - 0.3) + 0.4 * mesh)
+    dark += 2.0 * rim + 3.0 * (hole + slit) - clear * (1.5 * (cords - 0.3) + 0.4 * mesh)
     brown *= jnp.exp(much["patches"] * dark)
     reach = ring + 0.3 + 0.2 * wide - 0.2 * cloud + 0.2 * streak
     inner = smoothstep((reach - rough) / 0.5 + 0.5)
@@ -227,9 +231,14 @@ def _scaled(thickness, place, mean) -> NoiseField:
 
 
 def _bounded(thickness, place, mean, within: tuple[float, float]) -> NoiseField:
-    """The same within a range, but for what the clipped tails shift the mean."""
+    """The same within a range, but for what the clipped tails shift the mean.
+
+    It flattens towards the upper end, so that what is thick keeps its fibres.
+    """
     low, high = within
-    return _scaled(jnp.clip(_scaled(thickness, place, mean), low * mean, high * mean), place, mean)
+    relative = _scaled(thickness, place, 1.0)
+    relative = _scaled(relative / jnp.sqrt(1 + (relative / high) ** 2), place, 1.0)
+    return _scaled(jnp.clip(relative, low, high) * mean, place, mean)
 
 
 def _strands(seed: Seed, turns, radius, count: int, sway: Scalar) -> NoiseField:
@@ -254,7 +263,7 @@ def _strands(seed: Seed, turns, radius, count: int, sway: Scalar) -> NoiseField:
 
 def _fibres(
     seed: Seed, turns, lean, radius, slack, room, angles: int
-) -> tuple[NoiseField, NoiseField, NoiseField]:
+) -> tuple[NoiseField, NoiseField, NoiseField, NoiseField]:
     """Cords of the upper leaf, from 0; the finer meshwork below, about 0; and streaks along both.
 
     Ridges at the zeros of noise lie at uneven distances, join and end. Of the upper ones the finer
@@ -262,20 +271,23 @@ def _fibres(
     lower ones lean to either side and cross.
     """
     few, many = split_seed(seed, 2)
-    kinds = [(19, 2), (41, 3), (89, 4), (167, 6), (61, 5), (71, 5), (139, 8), (157, 8), (90, 4)]
-    kinds = [(min(n, angles // 4), m) for n, m in kinds]
-    leaning = jnp.asarray([0.0, 0.2, -0.2, 0.0, 1.0, -1.0, 1.0, -1.0, 0.0], radius.dtype)
+    around, along = (19, 41, 89, 167, 61, 71, 139, 157, 90, 90), (1, 1, 2, 2, 3, 3, 4, 4, 2, 1)
+    kinds = [(min(n, angles // 4), m) for n, m in zip(around, along, strict=True)]
+    leaning = jnp.asarray([0.0, 0.2, -0.2, 0.0, 1.0, -1.0, 1.0, -1.0, 0.0, 0.0], radius.dtype)
     table = jnp.stack(split_seed(many, len(kinds))), *jnp.asarray(kinds).T, leaning
 
     def field(kind):
         seed, around, along, by = kind
         return noise(seed, turns + by * lean, radius, (around, along))
 
-    *fields, streak = jax.lax.map(field, table)
+    *fields, streak, gap = jax.lax.map(field, table)
     ridges = []
     for f, (n, _) in zip(fields, kinds, strict=False):
+        # About its zeros the noise over its slope is a distance: ridges are as wide everywhere.
+        slope = (jnp.roll(f, -1, 0) - jnp.roll(f, 1, 0)) * (angles / (2 * n))
+        away = f / jnp.hypot(0.7, slope)
         # No ridge is narrower than two texels, nor drawn where many share a picture's pixel.
-        ridge = jnp.exp(-((min(5.0, angles / (2.4 * n)) * f) ** 2))
+        ridge = jnp.exp(-((min(7.0, angles / (1.7 * n)) * away) ** 2))
         mean = ridge.mean()
         ridges.append(mean + smoothstep(room / n - 0.5) * (ridge - mean))
     upper, gathered = 0.0, 1.0
@@ -284,7 +296,7 @@ def _fibres(
         gathered = 0.35 + ridge
     cords = jnp.maximum(upper, _strands(few, turns, radius, min(59, angles // 5), 0.8 * slack))
     lower = sum(ridges[4:])
-    return cords, lower - jnp.mean(lower), streak
+    return cords, lower - jnp.mean(lower), streak, gap
 
 
 def _bundles(
