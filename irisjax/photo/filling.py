@@ -27,17 +27,17 @@ def fill_by_texture(
     for rows, columns, region in _regions(hidden):
         box = np.ix_(rows % len(hidden), columns)
         border = morphology.dilation(region, np.ones((2 * _BORDER + 1,) * 2, bool)) & ~hidden[box]
-        here, unlike = smooth[box], []
+        inside, edge = ((rows[r], columns[c]) for r, c in map(np.nonzero, (region, border)))
+        here, unlike = smooth[edge[0] % len(hidden), edge[1]], []
         for turn in turns:
-            there = np.ix_((rows - turn) % len(hidden), columns)
-            away = ((here - smooth[there])[border] / scale) ** 2
+            away = ((here - smooth[(edge[0] - turn) % len(hidden), edge[1]]) / scale) ** 2
             # A place that is itself hidden is the last choice.
-            unseen = float(hidden[there][region].mean())
+            unseen = float(hidden[(inside[0] - turn) % len(hidden), inside[1]].mean())
             unlike.append((unseen, float(away.mean()) if border.any() else 0.0))
         turn = turns[min(range(len(turns)), key=unlike.__getitem__)]
         turned = smooth[np.ix_((rows - turn) % len(hidden), columns)]
         if not region.all():
-            turned = turned + fill_holes(here - turned, region)
+            turned = turned + fill_holes(smooth[box] - turned, region)
         filled[box] = np.where(region[..., None], turned, filled[box])
     return np.moveaxis(filled, -1, 0)
 

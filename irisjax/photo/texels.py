@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 from scipy import ndimage
 from scipy.stats import qmc
-from skimage.transform import downscale_local_mean, resize
+from skimage.transform import resize
 
 from irisjax.numerics.checks import Range
 from irisjax.numerics.chunks import map_chunks, map_rows
@@ -27,7 +27,7 @@ from irisjax.numerics.interpolation import chebyshev
 from irisjax.photo.filling import fill_by_texture
 from irisjax.photo.photograph import Brightness, Colours, Mask
 from irisjax.photo.pigments import iris_of_concentrations
-from irisjax.photo.texture import MAP_SHAPE, Refraction, fill_holes, sampled
+from irisjax.photo.texture import MAP_SHAPE, Refraction, fill_holes, half_size, sampled
 from irisjax.render import picture
 from irisjax.render import polynomials as products
 from irisjax.render.illumination import Illumination
@@ -512,15 +512,11 @@ def _inverse(a):
 
 def _halved(level: Seen) -> Seen:
     """Means over squares of 2 × 2 pixels, of those that count."""
-    known = level.known.astype(np.float32)
-    count = downscale_local_mean(known, (2, 2))
-    share = np.maximum(count, 1e-6)[..., None]
-
-    def mean(values: np.ndarray) -> np.ndarray:
-        whole = downscale_local_mean(values * known[..., None], (2, 2, 1)) / share
-        return whole.astype(np.float32)
-
-    return Seen(mean(level.target), mean(level.light), mean(level.logs), count > 0.2)
+    known = level.known[..., None].astype(np.float32)
+    count = half_size(known)
+    parts = level.target, level.light, level.logs
+    means = (half_size(values * known) / np.maximum(count, 1e-6) for values in parts)
+    return Seen(*means, count[..., 0] > 0.2)
 
 
 def _noise(values: Colours, known: Mask) -> float:

@@ -8,7 +8,6 @@ from jaxtyping import Float, Shaped
 from PIL import Image
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline, make_interp_spline
-from skimage.transform import downscale_local_mean
 
 from irisjax.anatomy.eye import rings_between
 from irisjax.photo.edges import by_channel
@@ -279,6 +278,19 @@ def fill_holes(
     return np.where(hole, filled, layers).astype(pixels.dtype).reshape(pixels.shape)
 
 
+def half_size(
+    picture: Float[np.ndarray, "rows columns channels"],
+) -> Float[np.ndarray, "rows_1 columns_1 channels"]:
+    """Return means over squares of 2 × 2 pixels; an odd picture is continued by zeros.
+
+    Sums of slices take a sixth of the time of scikit-image's `downscale_local_mean`.
+    """
+    rows, columns = picture.shape[:2]
+    even = np.pad(picture, ((0, rows % 2), (0, columns % 2), (0, 0)))
+    pairs = even[::2] + even[1::2]
+    return (pairs[:, ::2] + pairs[:, 1::2]) / 4
+
+
 def masked_mean(values: Brightness, valid: Mask, sigma: float) -> Brightness:
     """Return the mean of the valid texels around each texel, weighted by a Gaussian of standard
     deviation `sigma` (texels); the mean of all valid ones where every one of them is far.
@@ -296,7 +308,7 @@ def _filled(total: np.ndarray, known: np.ndarray) -> np.ndarray:
     rows, columns = known.shape[:2]
     if known.all() or rows == columns == 1:
         return total / known
-    coarse = [downscale_local_mean(x, (2, 2, 1)) for x in (total, known)]
+    coarse = [half_size(x) for x in (total, known)]
     # A quarter known is enough for a square to count in full at the next level.
     share = np.maximum(coarse[1], 1e-30)
     weight = np.minimum(4 * coarse[1], 1.0)
