@@ -4,10 +4,8 @@ A surface is p z² − 2 R z + x² + y² = 0 with z counted from its apex along 
 1 is a sphere, 0 < p < 1 a prolate ellipsoid, p = 0 a paraboloid. Vectors are arrays of shape (…,
 3).
 
-Most functions are written in components: XLA then fuses a chain of them into loops over rays and
-never materialises the vectors between them, which halves the time. Scalar products are sums over
-the last axis, at which XLA stores intermediate results; otherwise it would recompute them for every
-output (the tables of an eye would take 15 times as long).
+All functions are written in components, and materialise what several of them share: XLA then makes
+short loops over rays of them, and never stores three components side by side.
 """
 
 from collections.abc import Sequence
@@ -17,6 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from irisjax._types import Real, Scalar, as_float
+from irisjax.numerics.fusion import materialise
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.fresnel import fresnel
 
@@ -49,8 +48,9 @@ class Conicoid(eqx.Module):
     def normal(self, point: Vector) -> Vector:
         """Compute the unit normal that points out of the eye (to negative z at the apex)."""
         x, y, z = parts(point)
-        n = jnp.stack([x, y, self.shape * (z - self.apex) - self.radius], axis=-1)
-        return n / norm(n)[..., None]
+        z = self.shape * (z - self.apex) - self.radius
+        length = safe_sqrt(x * x + y * y + z * z)
+        return from_parts([x / length, y / length, z / length])
 
     def intersect(
         self, origin: Vector, direction: Vector, far: bool = False
@@ -80,7 +80,7 @@ class Conicoid(eqx.Module):
         large = jnp.where(a == 0, jnp.inf, q / a_safe)
         small = jnp.where(q == 0, 0.0, c / q_safe)
         first, second = jnp.minimum(large, small), jnp.maximum(large, small)
-        return ahead + (second if far else first), square > 0
+        return materialise(ahead + (second if far else first)), square > 0
 
 
 def parts(a: Float[Array, "*s n"]) -> Parts:
@@ -95,7 +95,8 @@ def from_parts(a: Sequence[Float[Array, "*s"]]) -> Vector:
 
 def advance(origin: Vector, t: Float[Array, "*s"], direction: Vector) -> Vector:
     """Compute the points origin + t direction."""
-    return from_parts([o + t * d for o, d in zip(parts(origin), parts(direction), strict=True)])
+    pairs = zip(parts(origin), parts(direction), strict=True)
+    return from_parts(materialise([o + t * d for o, d in pairs]))
 
 
 def choose(mask: Bool[Array, "*s"], a: Vector, b: Float[Array, "*#s 3"]) -> Vector:
@@ -110,7 +111,7 @@ def from_axis(point: Vector) -> Float[Array, "*s"]:
 
 def dot(a: Float[Array, "*#s n"], b: Float[Array, "*#s n"]) -> Float[Array, "*#s"]:
     """Compute the scalar product over the last axis."""
-    return (a * b).sum(-1)
+    return jnp.stack([x * y for x, y in zip(parts(a), parts(b), strict=True)]).sum(0)
 
 
 def norm(a: Float[Array, "*s n"]) -> Float[Array, "*s"]:

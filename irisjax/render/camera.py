@@ -3,13 +3,13 @@
 import dataclasses
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from irisjax._types import Scalar, float_field
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import Range, check_range
+from irisjax.numerics.fusion import materialise
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Vector, dot, from_parts, norm, parts
 from irisjax.render.refraction import direction_of
@@ -110,9 +110,12 @@ class Camera(eqx.Module):
         back, right, up = self.axes()
         w, h = self.size
         pitch = self.width / w
-        row = index // w if self.first is None else index // w + self.first
-        x = ((index % w).astype(back.dtype) + 0.5 - w / 2) * pitch
+        row = index // w
+        column = index - w * row
+        row = row if self.first is None else row + self.first
+        x = (column.astype(back.dtype) + 0.5 - w / 2) * pitch
         y = -(row.astype(back.dtype) + 0.5 - h / 2) * pitch
+        x, y = materialise((x, y))
         # Points aimed at, in the plane through the middle of the pupil; none of them is far.
         aim = [x * r + y * u for r, u in zip(right, up, strict=True)]
         aside = x * x + y * y
@@ -121,8 +124,7 @@ class Camera(eqx.Module):
         # Back from there to the point nearest to the pupil's middle, then out of the eye.
         out = aside / length + jnp.minimum(_CLEAR, self.distance * (self.distance / length))
         origin = [c + a - out * d for c, a, d in zip(_centre(eye), aim, direction, strict=True)]
-        # Made once: XLA would otherwise work both out again for each of their many uses.
-        return jax.lax.optimization_barrier((from_parts(origin), from_parts(direction)))
+        return from_parts(materialise(origin)), from_parts(direction)
 
     def pixel(self, point: Vector, eye: Eye) -> tuple[Float[Array, "*s"], Float[Array, "*s"]]:
         """Column and row in which points (…, 3) in front of the camera appear along straight lines

@@ -6,7 +6,6 @@ import heapq
 from collections.abc import Callable
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -14,6 +13,7 @@ from jaxtyping import Array, Float
 
 from irisjax._types import as_float
 from irisjax.numerics.checks import is_known
+from irisjax.numerics.fusion import materialise
 from irisjax.numerics.interpolation import multilinear
 from irisjax.render.lights import Lights
 from irisjax.render.refraction import LARGEST_POLAR
@@ -155,7 +155,7 @@ class Environment(eqx.Module):
         table = jnp.concatenate([table[:, -1:], table, table[:, :1]], axis=1)
         # Computed once: XLA may round an azimuth differently for an index and for its weight, which
         # would then belong to different texels.
-        r, c = jax.lax.optimization_barrier((r, c))
+        r, c = materialise((r, c))
         return multilinear(table, (r, c))
 
     def to_lights(

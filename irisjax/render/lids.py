@@ -6,7 +6,6 @@ shadows on themselves but at the fold and in the corners, where they are darkene
 """
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
@@ -17,6 +16,7 @@ from irisjax.anatomy.lids import DOME, EDGE_WIDTH, FACE, FENCE, Lids
 from irisjax.anatomy.sclera import sclera_centre
 from irisjax.numerics.checks import is_known
 from irisjax.numerics.chunks import pixelwise
+from irisjax.numerics.fusion import materialise
 from irisjax.numerics.interpolation import bilinear, smoothstep
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.numerics.strokes import stamp_strokes, stroke_sections
@@ -238,8 +238,7 @@ def _leaving(point: Coordinates, towards: Coordinates, centre: Scalar, radius: f
 def meniscus(eye: Eye, point: Vector, normal: Vector) -> Vector:
     """Normals of the tear film, which climbs the margins in a strip of 0.5 mm."""
     assert eye.lids is not None
-    # Made once: XLA would otherwise find both anew for each of their many uses.
-    point, normal = jax.lax.optimization_barrier((point, normal))
+    point, normal = materialise((point, normal))
     x, y, _ = parts(point)
     at = eye.lids.edge(x, y)
     above, below = (jnp.clip(1 + away / 0.5, 0.0, 1.0) ** 2 for away in (at.upper, at.lower))

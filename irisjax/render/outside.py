@@ -8,7 +8,6 @@ red, and episcleral ones, seen blurred and veiled through the tissue over them.
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
@@ -18,6 +17,7 @@ from irisjax._types import Spectrum
 from irisjax.anatomy.eye import Eye, Sclera
 from irisjax.anatomy.sclera import VeinMap
 from irisjax.numerics.chunks import pixelwise
+from irisjax.numerics.fusion import materialise
 from irisjax.numerics.interpolation import polar_bilinear
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import from_parts
@@ -140,7 +140,7 @@ class ColourTable(eqx.Module):
         last = self.values.shape[0] - 1
         node = jnp.clip(jnp.log1p(depth / _KNEE) * (last / np.log1p(DEEPEST / _KNEE)), 0, last)
         # Computed once: XLA would work out the logarithm anew for each channel.
-        node = jax.lax.optimization_barrier(node)
+        node = materialise(node)
         i = jnp.minimum(jnp.asarray(node, jnp.int32), last - 1)
         u = node - i
 
@@ -181,8 +181,8 @@ def white_colour(
     if veins is not None:
         # Each computed once: XLA would work out the place anew for each texture, and the blood for
         # each channel.
-        place = jax.lax.optimization_barrier(GlobeSurface(eye).place(from_parts(pixels.point)))
-        blood = jax.lax.optimization_barrier(vein_depth_at(veins, *place))
+        place = materialise(GlobeSurface(eye).place(from_parts(pixels.point)))
+        blood = materialise(vein_depth_at(veins, *place))
     share = (1 - pixels.reflectance) * pixels.share / jnp.pi
     return jnp.stack(table.channels(blood)) * share
 

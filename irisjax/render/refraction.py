@@ -69,13 +69,11 @@ def into_chamber(
     cornea = eye.cornea
     assert cornea is not None
     outer, back, aqueous = cornea.anterior.normal(entry), cornea.posterior, eye.aqueous_index
-    # Each step once: XLA would work out a step again for every component of all later ones.
-    once = jax.lax.optimization_barrier
     if back is None:
-        return entry, *once(refract_vector(direction, outer, 1.0, aqueous))
-    within, first = once(refract_vector(direction, outer, 1.0, cornea.index))
-    start = once(advance(entry, back.intersect(entry, within)[0], within))
-    inside, second = once(refract_vector(within, back.normal(start), cornea.index, aqueous))
+        return entry, *refract_vector(direction, outer, 1.0, aqueous)
+    within, first = refract_vector(direction, outer, 1.0, cornea.index)
+    start = advance(entry, back.intersect(entry, within)[0], within)
+    inside, second = refract_vector(within, back.normal(start), cornea.index, aqueous)
     return start, inside, first * second
 
 

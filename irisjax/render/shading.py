@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.chunks import pixelwise
+from irisjax.numerics.fusion import materialise
 from irisjax.numerics.interpolation import bilinear, polar_bilinear, smoothstep
 from irisjax.numerics.roots import safe_sqrt, share_of
 from irisjax.optics.conicoid import Parts, dot, from_axis, from_parts, norm, parts
@@ -183,7 +184,7 @@ def _place_of(pixels: IrisPixels, eye: Eye) -> Place:
     angle, radius = IrisSurface(eye).place(from_parts(pixels.point))
     angle = angle if pixels.turn is None else angle + pixels.turn
     # Computed once: XLA would otherwise work both out again for each texture.
-    return jax.lax.optimization_barrier((angle, radius))
+    return materialise((angle, radius))
 
 
 @pixelwise
