@@ -274,14 +274,15 @@ def numbers(text: str) -> list[float]:
 
 def number_in(allowed: Range | None = None, whole: bool = False) -> Callable[[str], Any]:
     """Parser of numbers in a range, or of any; of whole ones to `int`."""
+    within = "" if allowed is None else f" in {allowed}"
 
     def parse(text: str) -> float:
         try:
             value = float(text)
         except ValueError:
-            raise ValueError(f"{text!r} is not a number") from None
+            raise ValueError(f"{text!r} is not a number{within}") from None
         if whole and not value.is_integer():
-            raise ValueError(f"{text} is not a whole number")
+            raise ValueError(f"{text} is not a whole number{within}")
         if allowed is not None and not allowed.holds(value):
             raise ValueError(f"{text} is outside {allowed}")
         return int(value) if whole else value

@@ -181,7 +181,10 @@ OPTIONS = [
         "'30,0,-1': a lamp's irradiance = -1 is outside [0, 1e+06]",
     ),
     (("scene.toml", "--pupil-radius", "6"), "--pupil-radius: 6 is outside [0.25, 4.75] mm"),
-    (("scene.toml", "--pupil-radius", "0,5"), "--pupil-radius: '0,5' is not a number"),
+    (
+        ("scene.toml", "--pupil-radius", "0,5"),
+        "--pupil-radius: '0,5' is not a number in [0.25, 4.75] mm",
+    ),
     (("scene.toml", "--light", "30,0,1e7"), "a lamp's irradiance = 1e+07 is outside [0, 1e+06]"),
     (("scene.toml", "--camera", "30"), "--camera '30': write POLAR,AZIMUTH"),
     (

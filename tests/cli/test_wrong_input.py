@@ -38,7 +38,10 @@ WRONG = [
     (("--solver", "monte-carlo", "--photons", "inf"), "--photons: inf is not a whole number"),
     (("--photons", "100"), "--photons means something only with --solver monte-carlo"),
     (("--solver", "monte-carlo", "--seed", "1.5"), "--seed: 1.5 is not a whole number"),
-    (("--solver", "monte-carlo", "--seed", "luck"), "--seed: 'luck' is not a number"),
+    (
+        ("--solver", "monte-carlo", "--seed", "luck"),
+        "--seed: 'luck' is not a number in [0, 4294967295]",
+    ),
     (("--solver", "monte-carlo", "--seed", "-1"), "--seed: -1 is outside [0, 4294967295]"),
     (("--solver", "oracle"), "--solver: unknown 'oracle'; known: exact, monte-carlo"),
     (("--process", "ilit-2007"), "--process: unknown 'ilit-2007'"),
@@ -48,7 +51,10 @@ WRONG = [
     (("--instrument", "radiance", "--illuminant", "moon"), "unknown illuminant 'moon'"),
     (("--instrument", "radiance", "--cos-incidence", "diffuse"), "diffuse"),
     (("--cos-incidence", "1.1"), "--cos-incidence: 1.1 is outside [0, 1]"),
-    (("--cos-incidence", "difuse"), "--cos-incidence: 'difuse' is not a number; or write diffuse"),
+    (
+        ("--cos-incidence", "difuse"),
+        "--cos-incidence: 'difuse' is not a number in [0, 1]; or write diffuse",
+    ),
     (("--cos-incidence", "1", "--incidence-deg", "0"), "not both"),
     (("-o", "missing/file.csv"), "missing: no such folder"),
     (("-o", "."), ".: is a folder"),
