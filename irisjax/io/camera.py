@@ -33,43 +33,43 @@ def focal_px(exif: Mapping[str, float], shape: tuple[int, int], notes: list[str]
         shape: Rows and columns as the file stores them.
         notes: Gets sentences on how the focal length was found.
     """
-    given = defaultdict(float, {k: v for k, v in exif.items() if math.isfinite(v)})
-    taken, scale = _taken(given, shape, notes)
-    by_film = given["FocalLengthIn35mmFilm"] / _DIAGONAL * math.hypot(*taken) * scale
-    per_mm = _PER_MM.get(int(given.get("FocalPlaneResolutionUnit", 2)), 0.0)
-    by_plane = given["FocalLength"] * given["FocalPlaneXResolution"] * per_mm * scale
-    told = {"the 35 mm equivalent": by_film, "the focal plane's resolution": by_plane}
-    for source in [s for s, value in told.items() if not 0 < value <= _LONGEST]:
-        if value := told.pop(source):
+    tags = defaultdict(float, {k: v for k, v in exif.items() if math.isfinite(v)})
+    extent, scale = _taken(tags, shape, notes)
+    by_film = tags["FocalLengthIn35mmFilm"] / _DIAGONAL * math.hypot(*extent) * scale
+    per_mm = _PER_MM.get(int(tags.get("FocalPlaneResolutionUnit", 2)), 0.0)
+    by_plane = tags["FocalLength"] * tags["FocalPlaneXResolution"] * per_mm * scale
+    estimates = {"the 35 mm equivalent": by_film, "the focal plane's resolution": by_plane}
+    for source in [s for s, value in estimates.items() if not 0 < value <= _LONGEST]:
+        if value := estimates.pop(source):
             notes.append(f"A focal length of {value:.3g} pixels from {source} is ignored.")
-    if not told:
+    if not estimates:
         return None
-    if len(told) == 2 and not 0.9 < by_plane / by_film < 1.1:
+    if len(estimates) == 2 and not 0.9 < by_plane / by_film < 1.1:
         notes.append(
             f"Exif contradicts itself on the focal length: {by_film:.0f} pixels from the 35 mm "
             f"equivalent (taken), {by_plane:.0f} from the focal plane's resolution."
         )
-    source, value = next(iter(told.items()))
+    source, value = next(iter(estimates.items()))
     notes.append(f"Focal length: {value:.0f} pixels, from {source} in Exif.")
     return value
 
 
 def _taken(
-    given: Mapping[str, float], shape: tuple[int, int], notes: list[str]
+    tags: Mapping[str, float], shape: tuple[int, int], notes: list[str]
 ) -> tuple[list[int], float]:
     """Return the sides of the picture as it was taken, pixels, and its scale since then."""
     now = sorted(shape)
-    then = sorted(int(given.get(f"Pixel{axis}Dimension", 0)) for axis in "XY")
-    if then[0] < 1 or then == now:
+    size = sorted(int(tags.get(f"Pixel{axis}Dimension", 0)) for axis in "XY")
+    if size[0] < 1 or size == now:
         return now, 1.0
-    small, large = (n / t for n, t in zip(now, then, strict=True))
-    sizes = f"{then[1]} × {then[0]} pixels to {now[1]} × {now[0]}"
-    if max(abs(n - t * large) for n, t in zip(now, then, strict=True)) <= 2:
+    small, large = (n / t for n, t in zip(now, size, strict=True))
+    sizes = f"{size[1]} × {size[0]} pixels to {now[1]} × {now[0]}"
+    if max(abs(n - t * large) for n, t in zip(now, size, strict=True)) <= 2:
         notes.append(f"Exif states that the picture was resized from {sizes}.")
-        return then, large
+        return size, large
     if max(small, large) <= 1:
         notes.append(f"Exif states {sizes}: the picture is taken as a full-size detail.")
-        return then, 1.0
+        return size, 1.0
     notes.append(f"Exif's size does not fit the picture ({sizes}) and is ignored.")
     return now, 1.0
 
@@ -107,8 +107,8 @@ def develop(
             if not any(raw.camera_whitebalance):
                 notes.append("The file has no white balance of the camera: LibRaw's own is taken.")
     except rawpy.LibRawError as error:
-        said = error.args[0] if error.args else ""
-        reason = said.decode() if isinstance(said, bytes) else error
+        message = error.args[0] if error.args else ""
+        reason = message.decode() if isinstance(message, bytes) else error
         raise ValueError(f"not a raw file that can be read ({reason})") from None
     # LibRaw's codes, in quarter turns to the left.
     sensor = np.rot90(sensor, {3: 2, 5: 1, 6: 3}.get(flip, 0))
@@ -151,29 +151,29 @@ def _exif_of(path, raw) -> dict[str, float]:
     import rawpy
     from PIL import Image
 
-    found: dict[str, float] = {}
+    tags: dict[str, float] = {}
     with quietly():
         exif = Image.Exif()
         with open(path, "rb") as file:
             exif.load_from_fp(file)
-            found = _numbers(exif)
-    if "FocalLength" not in found:
+            tags = _numbers(exif)
+    if "FocalLength" not in tags:
         with quietly():
             preview = raw.extract_thumb()
             if preview.format == rawpy.ThumbFormat.JPEG:
-                found = _numbers(Image.open(BytesIO(preview.data)).getexif())
+                tags = _numbers(Image.open(BytesIO(preview.data)).getexif())
                 # The preview is smaller than the picture that the numbers are about.
-                found = {k: v for k, v in found.items() if not k.endswith("Dimension")}
+                tags = {k: v for k, v in tags.items() if not k.endswith("Dimension")}
     if raw.other.focal_length:
-        found.setdefault("FocalLength", float(raw.other.focal_length))
-    return found
+        tags.setdefault("FocalLength", float(raw.other.focal_length))
+    return tags
 
 
 def _numbers(exif) -> dict[str, float]:
     from PIL.ExifTags import IFD, TAGS
 
-    found = {}
+    numbers = {}
     for tag, value in exif.get_ifd(IFD.Exif).items():
         with contextlib.suppress(TypeError, ValueError):
-            found[TAGS.get(tag, "")] = float(value)
-    return found
+            numbers[TAGS.get(tag, "")] = float(value)
+    return numbers

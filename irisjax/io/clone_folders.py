@@ -35,19 +35,19 @@ def read_clone(folder: str | Path) -> CloneFolder:
     folder = Path(folder)
     check_summary(folder)
     path = folder / PHOTOGRAPH
-    for file, why in (
+    for file, role in (
         ("scene.toml", "it was stopped before its pigments; run irisjax clone to the end"),
         (PHOTOGRAPH, "run irisjax clone again"),
     ):
         if not (folder / file).exists():
-            raise ValueError(f"{folder}: the clone has no {file}: {why}")
+            raise ValueError(f"{folder}: the clone has no {file}: {role}")
     scene = read_scene(folder / "scene.toml")
     pixels = read_image(path).pixels
     width, height = scene.scene().camera.size
     if pixels.shape != (height, width, 3):
         rows, columns, channels = pixels.shape
-        must = f"must be {width} x {height} of 3, the size in scene.toml"
-        raise ValueError(f"{path}: is {columns} x {rows} pixels of {channels} channels, {must}")
+        rule = f"must be {width} x {height} of 3, the size in scene.toml"
+        raise ValueError(f"{path}: is {columns} x {rows} pixels of {channels} channels, {rule}")
     return CloneFolder(scene, np.rint(255 * pixels).astype(np.uint8))
 
 
@@ -57,7 +57,7 @@ def check_summary(folder: Path) -> dict[str, Any]:
     if not path.exists():
         raise ValueError(f"{folder}: has no clone.json, it is not the folder of a clone")
     with naming(f"{path}: broken"):
-        found = json.loads(path.read_text(encoding="utf-8"))
-        if not (isinstance(found, dict) and {"photograph", "limbus", "pupil"} <= found.keys()):
+        summary = json.loads(path.read_text(encoding="utf-8"))
+        if not (isinstance(summary, dict) and {"photograph", "limbus", "pupil"} <= summary.keys()):
             raise ValueError("photograph, limbus and pupil must be in it")
-    return found
+    return summary

@@ -57,40 +57,40 @@ def files_of(
     if pictures is not None:
         summary["picture_rms"] = pictures.rms
         summary["picture_rms_of_pigments"] = pictures.rms_of_pigments
-    found = {"clone.json": json_of(summary, 8), OVERLAY: overlay_of(clone)}
+    files = {"clone.json": json_of(summary, 8), OVERLAY: overlay_of(clone)}
     if isinstance(clone, Flat):
         encoded = np.clip(np.asarray(srgb_encode(clone.texture.pixels)), 0, 1)
         sides = f"; x, y from -{HALF_WIDTH:g} to {HALF_WIDTH:g} mm, row 0 at the top"
-        found[UNREFRACTED_PICTURE] = _png(encoded, sides)
-        found[VISIBLE_MASK] = _png(clone.texture.valid)
+        files[UNREFRACTED_PICTURE] = _png(encoded, sides)
+        files[VISIBLE_MASK] = _png(clone.texture.valid)
     if isinstance(clone, Shaped):
-        own = clone.texels if isinstance(clone, Coloured) else None
-        found["freckles.png"] = _png(clone.freckles)
-        if own is None:
+        texels = clone.texels if isinstance(clone, Coloured) else None
+        files["freckles.png"] = _png(clone.freckles)
+        if texels is None:
             contrast = clone.morphology.deconvolved
             span = max(float(np.abs(contrast).max()), 1e-6)
-            found["deconvolved.png"] = _png(0.5 + 0.5 * contrast / span)
+            files["deconvolved.png"] = _png(0.5 + 0.5 * contrast / span)
         maps = clone.maps() if isinstance(clone, Fitted) else clone.morphology.maps
-        found["maps.exr"] = encode_maps("maps.exr", maps)
+        files["maps.exr"] = encode_maps("maps.exr", maps)
     if isinstance(clone, Coloured) and clone.texels is not None:
         layers = np.moveaxis(clone.texels.deviations, 0, -1), clone.texels.hidden[..., None]
-        remark = {"comments": "standard deviations of logarithms of maps.exr; 1 in what is hidden"}
+        labels = {"comments": "standard deviations of logarithms of maps.exr; 1 in what is hidden"}
         image, names = np.concatenate(layers, -1), (*NAMES, "hidden")
-        found["deviations.exr"] = encode_exr("deviations.exr", image, names, remark)
+        files["deviations.exr"] = encode_exr("deviations.exr", image, names, labels)
     if isinstance(clone, Fitted):
         scene, exposure = clone.scene(), float(np.clip(clone.exposure[1], 1e-6, 1e6))
-        around = scene.environment
-        given = {"maps": {"file": "maps.exr"}, "picture": {"exposure": exposure}}
-        given["eye"] = {"veins": "clear"}  # a clone has its iris only: the white is drawn clear
-        if around is not None and not around.is_uniform():
-            found["environment.exr"] = encode_exr("environment.exr", np.asarray(around.radiance))
-            given["environment"] = {"file": "environment.exr"}
-        text = scene_text(scene, given, f"{_REMARK}: {clone.photograph.name}")
-        found["scene.toml"] = text.encode()
+        sky = scene.environment
+        entries = {"maps": {"file": "maps.exr"}, "picture": {"exposure": exposure}}
+        entries["eye"] = {"veins": "clear"}  # a clone has its iris only: the white is drawn clear
+        if sky is not None and not sky.is_uniform():
+            files["environment.exr"] = encode_exr("environment.exr", np.asarray(sky.radiance))
+            entries["environment"] = {"file": "environment.exr"}
+        text = scene_text(scene, entries, f"{_REMARK}: {clone.photograph.name}")
+        files["scene.toml"] = text.encode()
         if log := clone.fit.log:
             rows = [",".join(log[0]), *(",".join(f"{v:.6g}" for v in r.values()) for r in log)]
-            found["convergence.csv"] = ("\n".join(rows) + "\n").encode()
-    return found
+            files["convergence.csv"] = ("\n".join(rows) + "\n").encode()
+    return files
 
 
 def overlay_of(clone: Outlined) -> bytes:
@@ -106,7 +106,7 @@ def summary_of(
 ) -> dict[str, object]:
     """Return the contents of `clone.json`, but for the comparison of the pictures."""
     outlines = clone.boundaries
-    found: dict[str, object] = {
+    fields: dict[str, object] = {
         "photograph": clone.photograph.name,
         "notes": clone.photograph.notes,
         "settings": settings,
@@ -116,10 +116,10 @@ def summary_of(
         "crop_px": clone.crop(),
     }
     if isinstance(clone, Posed):
-        found |= _pose(clone.pose)
+        fields |= _pose(clone.pose)
         if clone.second is not None:
             laid = clone.second.registration
-            found["second"] = {
+            fields["second"] = {
                 "correlation": laid.correlation,
                 "residual_px": laid.residual,
                 "scale": laid.scale,
@@ -129,8 +129,8 @@ def summary_of(
         texture = clone.texture
         radius = texture.radius()
         ring = (radius > texture.pupil_radius) & (radius < texture.iris_radius)
-        found["visible_share"] = texture.valid.sum() / ring.sum()
-        found["freckles_share"] = clone.freckles.sum() / ring.sum()
+        fields["visible_share"] = texture.valid.sum() / ring.sum()
+        fields["freckles_share"] = clone.freckles.sum() / ring.sum()
         if isinstance(clone, Coloured) and clone.texels is not None:
             shown, depth = ~clone.texels.hidden, np.asarray(clone.texels.maps.stroma_depth)
             out = (np.arange(depth.shape[1]) + 0.5) / depth.shape[1]
@@ -139,15 +139,15 @@ def summary_of(
         else:
             shape = clone.morphology
             thickness, weights = shape.thickness[texture.valid], np.ones(texture.valid.sum())
-            found["clamped_texels"], found["deconvolution_mm"] = shape.clamped, shape.sigma_mm
-            found["thickness_response"] = shape.response
+            fields["clamped_texels"], fields["deconvolution_mm"] = shape.clamped, shape.sigma_mm
+            fields["thickness_response"] = shape.response
         shares, known = [0.025, 0.5, 0.975], {"weights": weights, "method": "inverted_cdf"}
         low, middle, high = np.quantile(thickness, shares, **known)
-        found["stroma_thickness_mm"] = {"q2.5": low, "median": middle, "q97.5": high}
+        fields["stroma_thickness_mm"] = {"q2.5": low, "median": middle, "q97.5": high}
     if isinstance(clone, Fitted):
         fit = clone.fit
         iris = iris_of_concentrations(fit.values, clone.base)
-        found |= {
+        fields |= {
             "lamps_found": clone.lighting.found,
             "estimate": fit.values | iris.layer_concentrations() | _by_volume(iris),
             "units": PIGMENT_UNITS | dict.fromkeys(_by_volume(iris), "%"),
@@ -156,23 +156,23 @@ def summary_of(
             "converged": fit.converged,
         }
     if isinstance(clone, Coloured) and clone.texels is not None:
-        own = clone.texels
+        texels = clone.texels
         pairs = combinations(range(len(NAMES)), 2)
-        found["texels"] = {
-            "medians": own.iris.layer_concentrations() | _by_volume(own.iris),
-            "scattering_scale": own.iris.scattering_scale,
-            "exposure_factor": own.gain,
-            "outside_share": own.outside,
-            "explained_share": own.explained,
-            "hidden_share": own.hidden.mean(),
-            "common_sd_of_logarithms": dict(zip(NAMES, own.common, strict=True)),
-            "sd_of_logarithms": dict(zip(NAMES, np.median(own.deviations, (1, 2)), strict=True)),
-            "correlations": {f"{NAMES[i]}, {NAMES[j]}": own.correlation[i, j] for i, j in pairs},
-            "table_error": own.error,
+        fields["texels"] = {
+            "medians": texels.iris.layer_concentrations() | _by_volume(texels.iris),
+            "scattering_scale": texels.iris.scattering_scale,
+            "exposure_factor": texels.gain,
+            "outside_share": texels.outside,
+            "explained_share": texels.explained,
+            "hidden_share": texels.hidden.mean(),
+            "common_sd_of_logarithms": dict(zip(NAMES, texels.common, strict=True)),
+            "sd_of_logarithms": dict(zip(NAMES, np.median(texels.deviations, (1, 2)), strict=True)),
+            "correlations": {f"{NAMES[i]}, {NAMES[j]}": texels.correlation[i, j] for i, j in pairs},
+            "table_error": texels.error,
         }
     if isinstance(clone, Sampled):
         chains = clone.posterior.chains
-        found |= {
+        fields |= {
             "posterior": {
                 name: dict(zip(_OF_ESTIMATE, e, strict=True)) | {"unit": PIGMENT_UNITS[name]}
                 for name, e in clone.posterior.estimates.items()
@@ -186,8 +186,8 @@ def summary_of(
                 "effective_samples": min(chains.ess_bulk.min(), chains.ess_tail.min()),
             },
         }
-    said = {kind: [d.sentence for d in doubts if d.kind == kind] for kind in DOUBTS}
-    return found | {"seconds": timings, "doubts": said}
+    sentences = {kind: [d.sentence for d in doubts if d.kind == kind] for kind in DOUBTS}
+    return fields | {"seconds": timings, "doubts": sentences}
 
 
 def _by_volume(iris: Iris) -> dict[str, float]:

@@ -97,7 +97,7 @@ class Selection(NamedTuple):
 
 def select(
     table: Columns,
-    wanted: str | None,
+    requested: str | None,
     column: str | None = None,
     sd: str | None = None,
     among: list[int] | None = None,
@@ -111,7 +111,7 @@ def select(
 
     Args:
         table: The table; its first column is the wavelength.
-        wanted: The role to take; by default the first one there is.
+        requested: The role to take; by default the first one there is.
         column: Name of the column to take, or a part of it that no other has.
         sd: The same of its standard deviation.
         among: The columns of one eye of many, see `eyes_of`, which are taken as they are.
@@ -125,19 +125,19 @@ def select(
     elif column is not None:
         spectra = _named(table, column, roles)
     else:
-        spectra = _spectra(table, roles, wanted)
-    role, chosen = roles[spectra[0]], among is not None or column is not None
-    if chosen and not wanted and role not in _WITHOUT_ASKING:
+        spectra = _spectra(table, roles, requested)
+    role, explicit = roles[spectra[0]], among is not None or column is not None
+    if explicit and not requested and role not in _WITHOUT_ASKING:
         raise ValueError(_refusal(table, spectra[0], role))
-    own = _deviations_of(spectra, table, roles) if sd is None else _named(table, sd, roles)[:1]
-    if len(own) > 1 and among is None:
+    sds = _deviations_of(spectra, table, roles) if sd is None else _named(table, sd, roles)[:1]
+    if len(sds) > 1 and among is None:
         raise ValueError(f"{_listed(table, roles)}: two standard deviations; choose with --sd NAME")
-    deviation = own[0] if len(own) == 1 else None
-    used = [*spectra, *own]
-    left = [j for j in roles if j not in used]
+    deviation = sds[0] if len(sds) == 1 else None
+    indices = [*spectra, *sds]
+    left = [j for j in roles if j not in indices]
     notes: tuple[str, ...] = ()
     if left and among is None:
-        notes = (f"of the columns {_quoted(table, used)} used, {_quoted(table, left)} left out",)
+        notes = (f"of the columns {_quoted(table, indices)} used, {_quoted(table, left)} left out",)
     role = role if role in QUANTITIES else ""
     return Selection(spectra, deviation, role, table.names[spectra[0]], notes)
 
@@ -146,38 +146,38 @@ def eyes_of(table: Columns) -> dict[str, list[int]]:
     """Columns of each eye by its name: those of one name, without standard deviations that belong
     to another column, and without statistics.
     """
-    found: dict[str, list[int]] = {}
+    eyes: dict[str, list[int]] = {}
     roles = _roles_of(table)
     spectra = _values_among(roles)
     for j, role in roles.items():
         if j in spectra or (role == SD and _owner(j, spectra, table) is None):
-            found.setdefault(_title(table, j), []).append(j)
+            eyes.setdefault(_title(table, j), []).append(j)
     end = f" {table.samples}"
-    if table.samples is not None and all(name.endswith(end) for name in found):
-        found = {name.removesuffix(end): columns for name, columns in found.items()}
-    return found
+    if table.samples is not None and all(name.endswith(end) for name in eyes):
+        eyes = {name.removesuffix(end): columns for name, columns in eyes.items()}
+    return eyes
 
 
-def _spectra(table: Columns, roles: dict[int, str], wanted: str | None) -> list[int]:
+def _spectra(table: Columns, roles: dict[int, str], requested: str | None) -> list[int]:
     """Scans of the one spectrum in a table."""
     others = {j: roles[j] for j in _values_among(roles)}
-    first = (wanted, "", _MEAN) if wanted else _WITHOUT_ASKING
+    first = (requested, "", _MEAN) if requested else _WITHOUT_ASKING
     role = next((role for role in first if role in others.values()), None)
-    if role is None and not wanted and others:
+    if role is None and not requested and others:
         # The columns that can be used after all are named rather than those that cannot.
         j = min(others, key=lambda j: [*_REFUSALS, others[j]].index(others[j]))
         raise ValueError(_refusal(table, j, others[j]))
     raw = [j for j in others if others[j] in _RAW]
-    if role in ("", _MEAN) and raw and not wanted:
-        said = f"{_listed(table, roles)}: beside {table.names[raw[0]]!r} the others may be counts"
-        raise ValueError(f"{said}; choose the reflectance with --column NAME")
+    if role in ("", _MEAN) and raw and not requested:
+        text = f"{_listed(table, roles)}: beside {table.names[raw[0]]!r} the others may be counts"
+        raise ValueError(f"{text}; choose the reflectance with --column NAME")
     spectra = [j for j in others if role is None or others[j] == role]
     if not spectra:
         raise ValueError(f"{_listed(table, roles)}; need one spectrum, such as a reflectance")
     stated = [_owner(j, spectra, table) for j in roles if roles[j] == SD and len(spectra) > 1]
-    own = len(set(stated) & set(spectra)) > 1  # each has its standard deviation
-    own |= table.samples is not None and len({table.names[j] for j in spectra}) > 1
-    if len(spectra) > 1 and (own or not _one_thing(table, spectra)):
+    paired = len(set(stated) & set(spectra)) > 1  # each has its standard deviation
+    paired |= table.samples is not None and len({table.names[j] for j in spectra}) > 1
+    if len(spectra) > 1 and (paired or not _one_thing(table, spectra)):
         raise ValueError(
             f"{_listed(table, roles)}: these are no scans of one spectrum, whose names would "
             "differ in a number only, or whose values by noise; choose with --column NAME"
@@ -200,15 +200,15 @@ def _owner(j: int, spectra: list[int], table: Columns) -> int | None:
     """The spectrum to which a standard deviation belongs: that of the rest of its name, or else the
     only one, or else the one just before it.
     """
-    rest = _plain(re.sub(_FORMS[SD], " ", table.names[j], flags=re.I))
+    stem = _plain(re.sub(_FORMS[SD], " ", table.names[j], flags=re.I))
     plain = {k: _plain(re.sub(_FORMS[_MEAN], " ", table.names[k], flags=re.I)) for k in spectra}
-    named = [k for k in spectra if rest and rest in (plain[k], _plain(table.names[k]))]
-    if len(named) == 1:
-        return named[0]
+    owners = [k for k in spectra if stem and stem in (plain[k], _plain(table.names[k]))]
+    if len(owners) == 1:
+        return owners[0]
     usable = [k for k in spectra if role_of(table.names[k]) in _WITHOUT_ASKING]
     if len(usable) == 1:
         return usable[0]
-    return j - 1 if j - 1 in spectra and not rest else None
+    return j - 1 if j - 1 in spectra and not stem else None
 
 
 def _one_thing(table: Columns, columns: list[int]) -> bool:
@@ -223,16 +223,16 @@ def _one_thing(table: Columns, columns: list[int]) -> bool:
         return bool(np.ptp(middle) <= _APART * np.abs(np.median(middle)))
     if not len(values):
         return False
-    off = values - np.median(values, axis=1, keepdims=True)
+    deviation = values - np.median(values, axis=1, keepdims=True)
     size = np.abs(np.median(values)) or 1.0
     if names == {""}:
-        return bool((np.median(np.abs(off), axis=0) <= 0.1 * size).all())
+        return bool((np.median(np.abs(deviation), axis=0) <= 0.1 * size).all())
     if len(values) < _LEAST_ROWS:
         return False
     # Noise differs from one wavelength to the next: its second difference has √6 times its size.
-    rough = np.diff(values - values.mean(1, keepdims=True), n=2, axis=0).std(axis=0) / np.sqrt(6)
-    apart = np.sqrt((off**2).mean(axis=0))
-    return bool((apart <= np.maximum(2 * rough.max(), 1e-9 * size)).all())
+    noise = np.diff(values - values.mean(1, keepdims=True), n=2, axis=0).std(axis=0) / np.sqrt(6)
+    spread = np.sqrt((deviation**2).mean(axis=0))
+    return bool((spread <= np.maximum(2 * noise.max(), 1e-9 * size)).all())
 
 
 def _numbered(names: set[str]) -> bool:
@@ -247,35 +247,35 @@ def _numbered(names: set[str]) -> bool:
     return True
 
 
-def _named(table: Columns, wanted: str, roles: dict[int, str]) -> list[int]:
+def _named(table: Columns, title: str, roles: dict[int, str]) -> list[int]:
     """The columns of this name, or of the only one that contains it."""
     names = {j: _title(table, j) for j in roles}
-    begins, part = f"{wanted} ".lower(), wanted.lower()
-    for same in (
-        lambda j: names[j] == wanted,
+    begins, part = f"{title} ".lower(), title.lower()
+    for matches in (
+        lambda j: names[j] == title,
         lambda j: names[j].lower().startswith(begins) and roles[j] != SD,
         lambda j: part in names[j].lower(),
     ):
-        found = [j for j in names if same(j)]
-        if len({names[j] for j in found}) == 1:
-            return found
-    number = "no column" if not found else "more than one column"
-    raise ValueError(f"{number} is called {wanted!r}: {_listed(table, roles)}")
+        columns = [j for j in names if matches(j)]
+        if len({names[j] for j in columns}) == 1:
+            return columns
+    number = "no column" if not columns else "more than one column"
+    raise ValueError(f"{number} is called {title!r}: {_listed(table, roles)}")
 
 
 def _refusal(table: Columns, j: int, role: str) -> str:
-    said = _REFUSALS.get(role, f"{role}, not a reflectance: {_TO_DO}")
-    return f"column {table.names[j]!r} holds {said}"
+    message = _REFUSALS.get(role, f"{role}, not a reflectance: {_TO_DO}")
+    return f"column {table.names[j]!r} holds {message}"
 
 
 def _listed(table: Columns, roles: dict[int, str]) -> str:
-    each = (f"{_title(table, j)!r} ({roles[j] or 'no role'})" for j in roles)
-    return f"columns {', '.join(each)}"
+    titles = (f"{_title(table, j)!r} ({roles[j] or 'no role'})" for j in roles)
+    return f"columns {', '.join(titles)}"
 
 
 def _quoted(table: Columns, columns: list[int]) -> str:
-    some = [repr(_title(table, j)) for j in columns]
-    return ", ".join(some[:8] + ["..."] * (len(some) > 8))
+    titles = [repr(_title(table, j)) for j in columns]
+    return ", ".join(titles[:8] + ["..."] * (len(titles) > 8))
 
 
 def _title(table: Columns, j: int) -> str:

@@ -78,8 +78,8 @@ def read_cube(
     with naming(path):
         header = path.suffix.lower() == ".hdr"
         if not header and path.is_file():
-            beside = [path.with_suffix(".hdr"), path.with_name(path.name + ".hdr")]
-            path = next((p for p in beside if p.exists()), path)
+            headers = [path.with_suffix(".hdr"), path.with_name(path.name + ".hdr")]
+            path = next((p for p in headers if p.exists()), path)
             header = path.suffix.lower() == ".hdr"
         if header:
             return _sorted(_envi(path, wavelength_unit))
@@ -108,16 +108,16 @@ def read_reference(path: str | Path, cube: Cube, **how: str | None) -> Rows:
                 raise ValueError(
                     f"has {grid[0]:g} to {grid[-1]:g} nm, the cube {low:g} to {high:g} nm"
                 )
-            found = np.interp(cube.wavelengths, grid, values)[None, None]
-        return lambda first, last: found
-    other = read_cube(path, **how)
+            value = np.interp(cube.wavelengths, grid, values)[None, None]
+        return lambda first, last: value
+    white = read_cube(path, **how)
     with naming(path):
-        if other.shape[2] != bands or other.shape[1] not in (1, columns):
-            said = f"is {_by(other.shape)} (rows, columns, bands), the cube is {_by(cube.shape)}"
-            raise ValueError(f"{said}: need the same bands, and the same columns or one")
-        if other.shape == cube.shape:
-            return other.read
-        mean = np.mean([other.read(i, i + 1)[0] for i in range(other.shape[0])], axis=0)[None]
+        if white.shape[2] != bands or white.shape[1] not in (1, columns):
+            message = f"is {_by(white.shape)} (rows, columns, bands), the cube is {_by(cube.shape)}"
+            raise ValueError(f"{message}: need the same bands, and the same columns or one")
+        if white.shape == cube.shape:
+            return white.read
+        mean = np.mean([white.read(i, i + 1)[0] for i in range(white.shape[0])], axis=0)[None]
         return lambda first, last: mean
 
 
@@ -212,13 +212,13 @@ def writing_maps(
             file.create_variable(
                 name, (name,), data=np.asarray(values, object if texts else None), **kind
             )
-        for name, (more, dtype, said) in variables.items():
-            made = file.create_variable(name, ("row", "column", *more), dtype=dtype)
-            made.attrs.update(said)
+        for name, (axes, dtype, labels) in variables.items():
+            variable = file.create_variable(name, ("row", "column", *axes), dtype=dtype)
+            variable.attrs.update(labels)
 
         def write(name: str, first: int, array: np.ndarray) -> None:
-            made: Any = file[name]
-            made[first : first + len(array)] = array
+            variable: Any = file[name]
+            variable[first : first + len(array)] = array
 
         yield write
 
@@ -255,19 +255,19 @@ def _envi(path: Path, unit: str | None) -> Cube:
     except Exception as error:  # the library raises errors of its own, KeyError and TypeError too
         raise ValueError(f"no ENVI header that can be read ({first_line(error)})") from None
     size, offset = Path(image.filename).stat().st_size, int(image.offset)
-    need = offset + rows * columns * bands * stored.itemsize
-    if size != need:
-        said = f"{rows} lines of {columns} samples in {bands} bands of {stored.name}"
-        raise ValueError(f"describes {need} bytes ({said}), but {image.filename} has {size}")
+    length = offset + rows * columns * bands * stored.itemsize
+    if size != length:
+        layout = f"{rows} lines of {columns} samples in {bands} bands of {stored.name}"
+        raise ValueError(f"describes {length} bytes ({layout}), but {image.filename} has {size}")
     _check_count(grid, (rows, columns, bands), "interleave, lines, samples and bands")
     image.scale_factor = 1.0
     use = np.flatnonzero(good) if good.shape == (bands,) else np.arange(bands)
 
     def read(first: int, last: int) -> _Block:
-        found = image.read_subregion((first, last), (0, columns), use_memmap=False)[..., use]
-        values = found.astype(np.float64)
+        block = image.read_subregion((first, last), (0, columns), use_memmap=False)[..., use]
+        values = block.astype(np.float64)
         if ignored is not None:
-            values[found == ignored] = np.nan
+            values[block == ignored] = np.nan
         return values / factor
 
     if grid is not None:
@@ -297,36 +297,36 @@ def _xarray(path: Path, variable: str | None, unit: str | None) -> Cube:
     if variable is not None and variable not in cubes:
         raise ValueError(f"has no variable {variable!r} of three axes; it has {', '.join(cubes)}")
     if variable is None and len(cubes) != 1:
-        said = f"{len(cubes)} variables of three axes ({', '.join(cubes)}); name one by --variable"
-        raise ValueError(said if cubes else "has no variable of three axes")
-    found = data[variable or cubes[0]]
-    axes = [d for d in found.dims if str(d).lower() in _BAND_AXES]
+        text = f"{len(cubes)} variables of three axes ({', '.join(cubes)}); name one by --variable"
+        raise ValueError(text if cubes else "has no variable of three axes")
+    cube = data[variable or cubes[0]]
+    axes = [d for d in cube.dims if str(d).lower() in _BAND_AXES]
     if len(axes) != 1:
-        names = ", ".join(map(str, found.dims))
+        names = ", ".join(map(str, cube.dims))
         raise ValueError(
             f"which axis are the bands? {names}; one must be called wavelength or band"
         )
-    found = found.transpose(*(d for d in found.dims if d != axes[0]), axes[0])
-    aside = {str(n).lower(): v for n, v in data.variables.items() if v.dims == (axes[0],)}
-    grid = next((v for n, v in aside.items() if n in _BAND_AXES[:3]), None)
-    widths = next((np.asarray(v, float) for n, v in aside.items() if n in _WIDTHS), None)
+    cube = cube.transpose(*(d for d in cube.dims if d != axes[0]), axes[0])
+    coordinates = {str(n).lower(): v for n, v in data.variables.items() if v.dims == (axes[0],)}
+    grid = next((v for n, v in coordinates.items() if n in _BAND_AXES[:3]), None)
+    widths = next((np.asarray(v, float) for n, v in coordinates.items() if n in _WIDTHS), None)
     if grid is not None:
-        stated = np.asarray(grid, float)
-        to_nm = _to_nm(stated, unit or grid.attrs.get("units"))
-        widths, grid = None if widths is None else to_nm * widths, to_nm * stated
-    stored = np.dtype(found.encoding.get("dtype", found.dtype))
-    scale = found.encoding.get("scale_factor")
-    whole = stored.kind in "iu"
+        nodes = np.asarray(grid, float)
+        to_nm = _to_nm(nodes, unit or grid.attrs.get("units"))
+        widths, grid = None if widths is None else to_nm * widths, to_nm * nodes
+    stored = np.dtype(cube.encoding.get("dtype", cube.dtype))
+    scale = cube.encoding.get("scale_factor")
+    integer = stored.kind in "iu"
     ceiling = None
-    if whole:
-        ceiling = np.iinfo(stored).max * (scale or 1.0) + found.encoding.get("add_offset", 0.0)
+    if integer:
+        ceiling = np.iinfo(stored).max * (scale or 1.0) + cube.encoding.get("add_offset", 0.0)
     texts = {str(k): str(v) for k, v in data.attrs.items()}
 
     def read(first: int, last: int) -> _Block:
-        return np.asarray(found[first:last].values, np.float64)
+        return np.asarray(cube[first:last].values, np.float64)
 
-    shape: Any = found.shape
-    return Cube(path, shape, grid, widths, ceiling, whole and scale is None, texts, read)
+    shape: Any = cube.shape
+    return Cube(path, shape, grid, widths, ceiling, integer and scale is None, texts, read)
 
 
 def _sorted(cube: Cube) -> Cube:
@@ -345,19 +345,19 @@ def _sorted(cube: Cube) -> Cube:
 def _check_count(grid: np.ndarray | None, shape: tuple[int, int, int], where: str) -> None:
     if grid is None or grid.size == shape[2]:
         return
-    said = f"has {grid.size} wavelengths for {shape[2]} bands"
+    message = f"has {grid.size} wavelengths for {shape[2]} bands"
     swapped = [
         n for n, count in zip(("lines", "samples"), shape, strict=False) if count == grid.size
     ]
     hint = f"; there are as many {swapped[0]}: is the cube transposed? Check {where}"
-    raise ValueError(said + (hint if swapped else ""))
+    raise ValueError(message + (hint if swapped else ""))
 
 
 def _to_nm(grid: np.ndarray, unit: object) -> float:
     """Factor from the unit of wavelengths to nm; without a unit those below 100 are µm."""
     text = str(unit or "").strip().lower()
-    known = next((factor for factor, words in _UNITS.items() if text in words), None)
-    return (1e3 if np.median(grid) < 100 else 1.0) if known is None else known
+    scale = next((factor for factor, words in _UNITS.items() if text in words), None)
+    return (1e3 if np.median(grid) < 100 else 1.0) if scale is None else scale
 
 
 def _by(shape: tuple[int, ...]) -> str:

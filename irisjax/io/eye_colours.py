@@ -27,7 +27,7 @@ _LABEL = 16  # px of its letters
 
 
 def colour_files(
-    found: Outlined,
+    outlined: Outlined,
     measured: tuple[EyeColour, Part] | None,
     settings: Mapping[str, object],
     doubts: Sequence[Doubt] = (),
@@ -35,13 +35,13 @@ def colour_files(
     """Return the files, by name, of an eye's colours and the part of the photograph in which they
     were measured (`None` if its outlines are doubtful), with options of the command.
     """
-    summary = summary_of(found, settings, {}, doubts)
-    files = {OVERLAY: overlay_of(found)}
+    summary = summary_of(outlined, settings, {}, doubts)
+    files = {OVERLAY: overlay_of(outlined)}
     if measured is not None:
         colours, part = measured
         summary |= _colours(colours)
-        picture = draw_colours(colours, part, part.moved(found.boundaries.pupil))
-        remark = f"colours by irisjax of {found.photograph.name}, L*a*b* under D65"
+        picture = draw_colours(colours, part, part.moved(outlined.boundaries.pupil))
+        remark = f"colours by irisjax of {outlined.photograph.name}, L*a*b* under D65"
         files[COLOUR_FILES[1]] = encode_png(COLOUR_FILES[1], picture, remark=remark)[0]
     return {COLOUR_FILES[0]: json_of(summary, 6), **files}
 
@@ -67,9 +67,9 @@ def encode_contact_sheet(pictures: Mapping[str, Path | None]) -> bytes:
         while len(words) > 4 and draw.textlength(words, label) > wide:
             words = f"{words[: len(words) - 4]}..."
         draw.text((left, top + high + 2), words, (0, 0, 0), label)
-    made = io.BytesIO()
-    sheet.save(made, "JPEG", quality=88)
-    return made.getvalue()
+    buffer = io.BytesIO()
+    sheet.save(buffer, "JPEG", quality=88)
+    return buffer.getvalue()
 
 
 def _colours(colours: EyeColour) -> dict[str, object]:
@@ -78,7 +78,7 @@ def _colours(colours: EyeColour) -> dict[str, object]:
         name: _region(region) | ({"borders": RINGS[name]} if name in RINGS else {})
         for name, region in colours.regions.items()
     }
-    found: dict[str, object] = {
+    fields: dict[str, object] = {
         "space": "CIE 1976 L*a*b*, D65, 2 degree observer; relative to a perfect white",
         "regions": regions,
         "dominant": [_region(region) for region in colours.dominant],
@@ -91,9 +91,9 @@ def _colours(colours: EyeColour) -> dict[str, object]:
     }
     if colours.difference is not None:
         ends = ("lab", "q2.5", "q97.5")
-        off = dict(zip(ends, np.asarray(colours.difference), strict=True))
-        found["pupillary_minus_ciliary"] = off
-    return found
+        differences = dict(zip(ends, np.asarray(colours.difference), strict=True))
+        fields["pupillary_minus_ciliary"] = differences
+    return fields
 
 
 def _region(region: RegionColour) -> dict[str, object]:

@@ -70,11 +70,11 @@ def covariances_beside(path: Path) -> Path:
 
 def read_covariances(path: Path) -> dict[str, list[dict[str, str]]]:
     """Read the rows of each eye of a file of covariances; none of one that is not there."""
-    found: dict[str, list[dict[str, str]]] = {}
+    groups: dict[str, list[dict[str, str]]] = {}
     if path.exists():
         for row in _rows(path, COVARIANCES):
-            found.setdefault(row["eye"], []).append(row)
-    return found
+            groups.setdefault(row["eye"], []).append(row)
+    return groups
 
 
 def read_fits(path: Path, status: Iterable[str] = ("ok",)) -> FittedEyes:
@@ -86,37 +86,37 @@ def read_fits(path: Path, status: Iterable[str] = ("ok",)) -> FittedEyes:
     path = path / "fits.csv" if path.is_dir() else path
     rows = _rows(path, ("eye", "status"))
     beside = covariances_beside(path)
-    stated, eyes, left = read_covariances(beside), {}, {}
-    if not stated:
+    stored, eyes, left = read_covariances(beside), {}, {}
+    if not stored:
         raise ValueError(f"{beside}: not there, or empty; irisjax fit --batch -o writes it")
     for row in rows:
-        used = row["status"] in tuple(status) and row["eye"] in stated
-        (eyes if used else left)[row["eye"]] = row if used else row["status"]
+        usable = row["status"] in tuple(status) and row["eye"] in stored
+        (eyes if usable else left)[row["eye"]] = row if usable else row["status"]
     if len(eyes) < 2:
-        said = f"{path}: {len(eyes)} of {len(rows)} eyes can be used; a group needs two or more"
-        raise ValueError(f"{said} with status {' or '.join(status)}")
+        message = f"{path}: {len(eyes)} of {len(rows)} eyes can be used; a group needs two or more"
+        raise ValueError(f"{message} with status {' or '.join(status)}")
     with naming(path):
-        priors = _same("priors", [{r["parameter"]: r["prior"] for r in stated[n]} for n in eyes])
+        priors = _same("priors", [{r["parameter"]: r["prior"] for r in stored[n]} for n in eyes])
         process = _same("processes", [row.get("process", "") for row in eyes.values()])
         values = _numbers(eyes.values(), list(priors))
         _numbers(eyes.values(), [f"{name}_sd" for name in priors])
     with naming(beside):
         size = len(priors)
-        every = [_numbers(stated[name], ["covariance"]) for name in eyes]
-        if any(len(x) != size**2 for x in every):
+        matrices = [_numbers(stored[name], ["covariance"]) for name in eyes]
+        if any(len(x) != size**2 for x in matrices):
             raise ValueError("an eye lacks some covariances; irisjax fit --batch writes all")
-        covariance = np.reshape(every, (len(eyes), size, size))
-        known = {n: prior_of(p, *PARAMETERS[kind(n)].support) for n, p in priors.items()}
+        covariance = np.reshape(matrices, (len(eyes), size, size))
+        free_priors = {n: prior_of(p, *PARAMETERS[kind(n)].support) for n, p in priors.items()}
     z, slope = np.empty_like(values), np.empty_like(values)
-    for i, prior in enumerate(known.values()):
+    for i, prior in enumerate(free_priors.values()):
         z[:, i], slope[:, i] = _in_standard(prior, values[:, i])
     if (wrong := ~np.isfinite(z / slope).all(axis=1)).any():
         raise ValueError(f"{path}: {list(eyes)[np.argmax(wrong)]} lies at the end of its prior")
     covariance = covariance / (slope[:, :, None] * slope[:, None, :])
-    kept = [i for i, name in enumerate(known) if kind(name) not in ("gain", "noise")]
-    if not kept:
+    cols = [i for i, name in enumerate(free_priors) if kind(name) not in ("gain", "noise")]
+    if not cols:
         raise ValueError(f"{path}: no parameter of the iris is free")
-    free, draws = {n: known[n] for i, n in enumerate(known) if i in kept}, None
+    free, draws = {n: free_priors[n] for i, n in enumerate(free_priors) if i in cols}, None
     wide = [path.parent / name / LIKELIHOOD for name in eyes]
     reach = all(file.exists() for file in wide)
     if all(row.get("posterior") == CONVERGED for row in eyes.values()):
@@ -125,7 +125,7 @@ def read_fits(path: Path, status: Iterable[str] = ("ok",)) -> FittedEyes:
         else:
             draws = np.stack([_drawn(path.parent / name / "posterior.nc", free) for name in eyes])
     return FittedEyes(
-        tuple(eyes), free, values[:, kept], z[:, kept], covariance[:, kept][:, :, kept], process,
+        tuple(eyes), free, values[:, cols], z[:, cols], covariance[:, cols][:, :, cols], process,
         left, draws, WIDTH if reach else 1.0,
     )  # fmt: skip
 
@@ -135,10 +135,10 @@ def _drawn(path: Path, priors: Mapping[str, AbstractPrior]) -> np.ndarray:
     import h5netcdf
 
     with h5netcdf.File(path) as file:
-        found = file["posterior"].variables
-        every = [_in_standard(prior, np.ravel(found[n]))[0] for n, prior in priors.items()]
-    at = np.linspace(0, every[0].size - 1, KERNELS).astype(int)
-    return np.stack([np.asarray(x)[at] for x in every], axis=1)
+        variables = file["posterior"].variables
+        draws = [_in_standard(prior, np.ravel(variables[n]))[0] for n, prior in priors.items()]
+    index = np.linspace(0, draws[0].size - 1, KERNELS).astype(int)
+    return np.stack([np.asarray(x)[index] for x in draws], axis=1)
 
 
 @eqx.filter_jit
@@ -157,17 +157,17 @@ def _rows(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
 
 
 def _numbers(rows: Iterable[Mapping[str, str]], columns: Sequence[str]) -> np.ndarray:
-    found = []
+    numbers = []
     for row in rows:
         for name in columns:
             try:
-                found.append(float(row[name]))
+                numbers.append(float(row[name]))
             except (KeyError, ValueError, TypeError):
                 raise ValueError(f"{row['eye']} has no number in a column {name}") from None
-    return np.reshape(found, (-1, len(columns)))
+    return np.reshape(numbers, (-1, len(columns)))
 
 
-def _same(what, each):
-    if any(one != each[0] for one in each):
-        raise ValueError(f"its eyes were fitted with different {what}; fit them in one batch")
-    return each[0]
+def _same(quantity, values):
+    if any(one != values[0] for one in values):
+        raise ValueError(f"its eyes were fitted with different {quantity}; fit them in one batch")
+    return values[0]

@@ -85,10 +85,10 @@ def read_spectral_table(path: str | Path) -> Columns:
     """
     path = Path(path)
     data = path.read_bytes()
-    for first, suffix, what, way in _BINARY:
+    for first, suffix, kind, way in _BINARY:
         if path.suffix.lower().endswith(suffix) and re.match(first, data, re.S):
-            said = f"{what} is not read; export a text from the program that wrote it"
-            raise ValueError(f"{said} ({way})")
+            message = f"{kind} is not read; export a text from the program that wrote it"
+            raise ValueError(f"{message} ({way})")
     if data.startswith(b"PK"):
         return _with_wavelengths_first(_excel(data))
     text = decoded(data)
@@ -105,11 +105,11 @@ def read_spectral_table(path: str | Path) -> Columns:
     if re.search(r"^BEGIN_DATA_FORMAT", text, re.M):
         text = _cgats(text)
     table = _table(text)
-    at = re.match(r"line (\d+)", table.where[0])
-    above = text.splitlines()[: int(at[1]) - 1] if at else []
+    location = re.match(r"line (\d+)", table.where[0])
+    above = text.splitlines()[: int(location[1]) - 1] if location else []
     if not re.search("refle", " ".join(above), re.I):
-        for found in filter(None, map(_NO_REFLECTANCE.search, (*above, path.name))):
-            table.header[ELSE] = found[0]
+        for match in filter(None, map(_NO_REFLECTANCE.search, (*above, path.name))):
+            table.header[ELSE] = match[0]
     if smoothed := _BOXCAR.search(text):
         table.header[BOXCAR] = smoothed[1]
     return _with_wavelengths_first(table)
@@ -127,8 +127,8 @@ def _table(text: str) -> Columns:
         if len(titles) < 2 or sum(bool(WAVELENGTH.search(t)) for t in titles) != 1:
             continue
         rows = [(number, cells_of(line, separator)) for number, line in lines[1:]]
-        if found := _long(titles, rows):
-            return found._replace(header=dict(HEADER.findall(text)))
+        if table := _long(titles, rows):
+            return table._replace(header=dict(HEADER.findall(text)))
     return read_columns(text)
 
 
@@ -142,31 +142,31 @@ def _long(titles: list[str], rows: list[tuple[int, list[str]]]) -> Columns | Non
         titles = ["", *titles]  # R's names of rows have no title
     if not rows or any(len(cells) != len(titles) for _, cells in rows):
         return None
-    at = next(j for j, title in enumerate(titles) if WAVELENGTH.search(title))
-    again = len({cells[at] for _, cells in rows}) < len(rows)
-    called = [again and bool(LABEL.search(t) or _REPEAT.search(t)) for t in titles]
+    wave = next(j for j, title in enumerate(titles) if WAVELENGTH.search(title))
+    repeats = len({cells[wave] for _, cells in rows}) < len(rows)
+    called = [repeats and bool(LABEL.search(t) or _REPEAT.search(t)) for t in titles]
     first = [number_of(cell, True) is None for cell in rows[0][1]]
     if not any(t and (a or b) for t, a, b in zip(titles, called, first, strict=True)):
         return None
     columns = {j: [cells[j] for _, cells in rows] for j, title in enumerate(titles) if title}
-    labels, numbers, faults = [], {}, []
+    labels, numbers, errors = [], {}, []
     for j, column in columns.items():
         numbers[j] = np.array([number_of(cell, True) for cell in column], float)
         text = [number_of(cell, True) is None for cell in column]
-        if j != at and (called[j] or sum(text) > np.isfinite(numbers[j]).sum()):
+        if j != wave and (called[j] or sum(text) > np.isfinite(numbers[j]).sum()):
             labels.append(j)
         elif any(text):
-            faults.append((rows[text.index(True)][0], column[text.index(True)]))
-    used = [at, *(j for j in columns if j not in (at, *labels))]
+            errors.append((rows[text.index(True)][0], column[text.index(True)]))
+    used = [wave, *(j for j in columns if j not in (wave, *labels))]
     if not labels or len(used) < 2:
         return None
-    for number, cell in faults:
+    for number, cell in errors:
         raise ValueError(f"line {number}: {cell!r} is not a number")
     units: CellUnits = [None] * len(used)
     for number, cells in rows:
         units = units_of([cells[j] for j in used], units, f"line {number}")
     names = with_units([titles[j] for j in used], units)
-    if not again:  # other texts are remarks or times
+    if not repeats:  # other texts are remarks or times
         named = [j for j in labels if LABEL.search(titles[j]) or any(map(role_of, columns[j]))]
         labels = named or [j for j in labels if len(set(columns[j])) == 1]
     parts = [j for j in labels if not _REPEAT.search(titles[j])]
@@ -180,7 +180,7 @@ def _long(titles: list[str], rows: list[tuple[int, list[str]]]) -> Columns | Non
         for j, name in zip(used[1:], names[1:], strict=True):
             # A deviation belongs to the first values.
             value = f"{names[1]} " if j != used[1] and role_of(name) == SD else ""
-            spectra.append((f"{of} {value}{name}".strip(), numbers[at][own], numbers[j][own]))
+            spectra.append((f"{of} {value}{name}".strip(), numbers[wave][own], numbers[j][own]))
     return _joined(names[0], spectra)._replace(samples=names[1])
 
 
@@ -211,8 +211,8 @@ def _with_wavelengths_first(table: Columns) -> Columns:
 
 def _jaz(table: Columns) -> Columns:
     """Ocean Insight's JAZ: letters name the columns; the last one may be any quantity."""
-    dark, white, light, said = (table.values[:, table.names.index(n)] for n in "DRSP")
-    share = np.median(said * (white - dark)) / np.median(100 * (light - dark))
+    dark, white, light, reflectance = (table.values[:, table.names.index(n)] for n in "DRSP")
+    share = np.median(reflectance * (white - dark)) / np.median(100 * (light - dark))
     names = _JAZ | ({"P": "reflectance (%)"} if 0.8 < share < 1.25 else {})
     return table._replace(names=[names[name] for name in table.names])
 
@@ -220,14 +220,14 @@ def _jaz(table: Columns) -> Columns:
 def _joined(name: str, spectra: list[tuple[str, np.ndarray, np.ndarray]]) -> Columns:
     """One table of spectra that each have their wavelengths."""
     present = [np.isfinite(x) for _, x, _ in spectra]
-    every = np.unique(np.concatenate([x[k] for (_, x, _), k in zip(spectra, present, strict=True)]))
-    values = np.full((every.size, 1 + len(spectra)), np.nan)
-    values[:, 0] = every
-    for j, ((_, x, y), kept) in enumerate(zip(spectra, present, strict=True), 1):
-        if np.unique(x[kept]).size < kept.sum():
+    grid = np.unique(np.concatenate([x[k] for (_, x, _), k in zip(spectra, present, strict=True)]))
+    values = np.full((grid.size, 1 + len(spectra)), np.nan)
+    values[:, 0] = grid
+    for j, ((_, x, y), mask) in enumerate(zip(spectra, present, strict=True), 1):
+        if np.unique(x[mask]).size < mask.sum():
             raise ValueError(f"a wavelength of {spectra[j - 1][0]!r} appears twice")
-        values[np.searchsorted(every, x[kept]), j] = y[kept]
-    where = [f"at {x:g}" for x in every]
+        values[np.searchsorted(grid, x[mask]), j] = y[mask]
+    where = [f"at {x:g}" for x in grid]
     return Columns(values, [name, *(name for name, _, _ in spectra)], where, {})
 
 
@@ -244,19 +244,19 @@ def _excel(data: bytes) -> Columns:
         sheets = {sheet.title: list(sheet.iter_rows(values_only=True)) for sheet in book}
     except (KeyError, OSError, zipfile.BadZipFile) as error:
         raise ValueError(f"not readable as an Excel file ({error})") from None
-    found: dict[str, Columns] = {}
-    faults: list[str] = []
+    tables: dict[str, Columns] = {}
+    errors: list[str] = []
     for title, rows in sheets.items():
         lines = ["\t".join("" if v is None else str(v).strip() for v in row) for row in rows]
         try:
-            found[title] = _table("\n".join(lines))
+            tables[title] = _table("\n".join(lines))
         except ValueError as error:
-            faults.append(f"sheet {title!r}, {error}")
-    if len(found) > 1:
-        raise ValueError(f"tables in {len(found)} sheets ({', '.join(found)}); keep one of them")
-    if not found:
-        raise ValueError("; ".join(faults) or "no sheet in it")
-    return next(iter(found.values()))
+            errors.append(f"sheet {title!r}, {error}")
+    if len(tables) > 1:
+        raise ValueError(f"tables in {len(tables)} sheets ({', '.join(tables)}); keep one of them")
+    if not tables:
+        raise ValueError("; ".join(errors) or "no sheet in it")
+    return next(iter(tables.values()))
 
 
 def _svc(text: str) -> Columns:
@@ -272,31 +272,31 @@ def _iad(text: str) -> Columns:
     the letters of the columns, and the rows. Notes say what the parameters mean for M_R.
     """
     lines = [line.partition("#")[0].replace(",", " ").strip() for line in text[4:].splitlines()]
-    found: list[str] = []
-    at = 0
-    while at < len(lines) and not (lines[at] and len(found) >= _IAD_PARAMETERS):
-        found += lines[at].split()
-        at += 1
+    numbers: list[str] = []
+    row = 0
+    while row < len(lines) and not (lines[row] and len(numbers) >= _IAD_PARAMETERS):
+        numbers += lines[row].split()
+        row += 1
     try:
-        header = [float(word) for word in found]
+        header = [float(word) for word in numbers]
     except ValueError as error:
         raise ValueError(f"IAD: {error} among the parameters of sample and spheres") from None
-    if at == len(lines) or len(header) != _IAD_PARAMETERS:
+    if row == len(lines) or len(header) != _IAD_PARAMETERS:
         number = f"{len(header)} numbers of {_IAD_PARAMETERS}"
         raise ValueError(f"IAD: {number} above the line that says what the columns hold")
-    stated = re.sub(r"[\s-]", "", lines[at])
-    letters = f"L{_IAD_ORDER[: int(stated)]}" if stated.isdigit() else stated
+    code = re.sub(r"[\s-]", "", lines[row])
+    letters = f"L{_IAD_ORDER[: int(code)]}" if code.isdigit() else code
     if "L" not in letters or not {"r", "t"} & set(letters):
-        raise ValueError(f"IAD: columns {stated!r}, need wavelengths (L) and a reflectance (r)")
-    rows = ["\t".join(line.split()) for line in lines[at + 1 :]]
-    table = read_columns("\n".join(["\n" * at + "\t".join(letters), *rows]))
+        raise ValueError(f"IAD: columns {code!r}, need wavelengths (L) and a reflectance (r)")
+    rows = ["\t".join(line.split()) for line in lines[row + 1 :]]
+    table = read_columns("\n".join(["\n" * row + "\t".join(letters), *rows]))
     if len(table.names) != len(letters):
-        said = f"{len(letters)} stated, the wavelength among them"
-        raise ValueError(f"{table.where[0]}: {len(table.names)} columns, {said}")
-    kept = [letters.index(c) for c in _IAD if c in letters]
+        message = f"{len(letters)} stated, the wavelength among them"
+        raise ValueError(f"{table.where[0]}: {len(table.names)} columns, {message}")
+    columns = [letters.index(c) for c in _IAD if c in letters]
     notes = _iad_notes(header, {c: table.values[:, j] for j, c in enumerate(letters)})
-    names, header = [_IAD[letters[j]] for j in kept], {"unit": "fraction"}
-    return Columns(table.values[:, kept], names, table.where, header, (*table.notes, *notes))
+    names, header = [_IAD[letters[j]] for j in columns], {"unit": "fraction"}
+    return Columns(table.values[:, columns], names, table.where, header, (*table.notes, *notes))
 
 
 def _iad_notes(header: list[float], columns: dict[str, np.ndarray]) -> Iterator[str]:
@@ -311,13 +311,13 @@ def _iad_notes(header: list[float], columns: dict[str, np.ndarray]) -> Iterator[
         (sphere, *ports), medians = header[7:11], {c: np.median(columns[c]) for c in columns}
         sample, third, detector = (np.square(port / (2 * sphere)) for port in ports)
         wall = medians.get("w", header[11])
-        white, seen = (
+        white, signal = (
             1 - wall * (1 - sample - third - detector + (1 - third) * sample * r)
             for r in (medians.get("R", header[5]), medians["r"])
         )
         yield (
-            f"a sphere with a single beam dims M_R to {white / seen:.3f} of the reflectance (the "
-            f"standard brightens it more): --fix gain={white / seen:.3f}; not with two beams"
+            f"a sphere with a single beam dims M_R to {white / signal:.3f} of the reflectance (the "
+            f"standard brightens it more): --fix gain={white / signal:.3f}; not with two beams"
         )
 
 
@@ -342,18 +342,18 @@ def _jcamp(text: str) -> Columns:
     if re.search(r"^##\s*NTUPLES\s*=", text, re.M | re.I):
         raise ValueError("JCAMP-DX with NTUPLES is not read; export a spectrum alone, or CSV")
     for lines in _blocks(text):
-        found, printed = _jcamp_block(lines)
-        x, y = np.asarray(found.get("x", ()), float), np.asarray(found.get("y", ()), float)
+        fields, printed = _jcamp_block(lines)
+        x, y = np.asarray(fields.get("x", ()), float), np.asarray(fields.get("y", ()), float)
         if not x.size or x.shape != y.shape:
             if re.search(r"^##(XYDATA|XYPOINTS)", "\n".join(lines), re.M):
                 raise ValueError(f"JCAMP-DX: {x.size} wavelengths for {y.size} values")
             continue  # the block that links the others
-        said = str(found.get("xunits", "")).strip()
-        unit = next((unit for unit, form in UNITS.items() if form.search(said)), None)
+        word = str(fields.get("xunits", "")).strip()
+        unit = next((unit for unit, form in UNITS.items() if form.search(word)), None)
         if unit is None:
-            raise ValueError(f"XUNITS = {said or 'nothing'}; need nanometers, micrometers or 1/cm")
+            raise ValueError(f"XUNITS = {word or 'nothing'}; need nanometers, micrometers or 1/cm")
         units.add(unit)
-        title, quantity = (str(found.get(key, "")).strip() for key in ("title", "yunits"))
+        title, quantity = (str(fields.get(key, "")).strip() for key in ("title", "yunits"))
         spectra.append((f"{title}: {quantity}", x, y))
         notes += [f"JCAMP-DX, {title}: {printed}"] if printed else []
     if not spectra:
@@ -398,14 +398,14 @@ def _jcamp_block(lines: list[str]) -> tuple[dict[str, Any], str]:
     lines = [x if x.startswith("##") else _REPEATED.sub(_repeated, x) for x in lines]
     try:
         with contextlib.redirect_stdout(printed):
-            found = jcamp.read(lines)
+            fields = jcamp.read(lines)
     except Exception as error:  # the parser checks nothing: a damaged file may raise anything
         raise ValueError(f"not readable as JCAMP-DX ({error})") from None
-    said = printed.getvalue().partition("\n")[0]
-    if "Check failed" in said:
-        raise ValueError(f"JCAMP-DX, damaged or not of equal steps: {said}")
-    return found, said
+    message = printed.getvalue().partition("\n")[0]
+    if "Check failed" in message:
+        raise ValueError(f"JCAMP-DX, damaged or not of equal steps: {message}")
+    return fields, message
 
 
-def _repeated(found: re.Match[str]) -> str:
-    return found[1] * int(f"{'STUVWXYZs'.index(found[2]) + 1}{found[3]}")
+def _repeated(match: re.Match[str]) -> str:
+    return match[1] * int(f"{'STUVWXYZs'.index(match[2]) + 1}{match[3]}")

@@ -123,22 +123,22 @@ def write_exr(
 
 def encode_png(name: str | Path, encoded: Any, **options: Any) -> tuple[bytes, int]:
     """The bytes that `write_png` writes with these options, and the number of clipped pixels."""
-    return _bytes(name, lambda there: write_png(there, encoded, **options))
+    return _bytes(name, lambda path: write_png(path, encoded, **options))
 
 
 def encode_exr(name: str | Path, image: Any, *options: Any, **more: Any) -> bytes:
     """The bytes that `write_exr` writes with these options."""
-    return _bytes(name, lambda there: write_exr(there, image, *options, **more))[0]
+    return _bytes(name, lambda path: write_exr(path, image, *options, **more))[0]
 
 
 def _bytes(name: str | Path, write: Callable[[Path], Any]) -> tuple[bytes, Any]:
     with tempfile.TemporaryDirectory() as folder:
-        there = Path(folder, Path(name).name)
+        path = Path(folder, Path(name).name)
         try:
-            found = write(there)
+            result = write(path)
         except ValueError as error:
-            raise ValueError(str(error).replace(str(there), str(name))) from None
-        return there.read_bytes(), found
+            raise ValueError(str(error).replace(str(path), str(name))) from None
+        return path.read_bytes(), result
 
 
 def spectral_channels(wavelengths: Iterable[float], layer: str = "S0") -> tuple[str, ...]:
@@ -156,11 +156,11 @@ def read_environment(path: str | Path) -> Environment:
     image = read_image(path, decode=True)
     rows, columns = image.pixels.shape[:2]
     if columns != 2 * rows:
-        said = f"is twice as wide as high, this is {columns} × {rows}"
-        raise ValueError(f"{path}: a latitude-longitude map {said}")
+        message = f"is twice as wide as high, this is {columns} × {rows}"
+        raise ValueError(f"{path}: a latitude-longitude map {message}")
     if not {"R", "G", "B"} <= set(image.channels):
-        found = ", ".join(image.channels)
-        raise ValueError(f"{path}: an environment needs the channels R, G, B, found {found}")
+        names = ", ".join(image.channels)
+        raise ValueError(f"{path}: an environment needs the channels R, G, B, found {names}")
     with naming(path):
         return Environment(image.pixels[..., [image.channels.index(c) for c in "RGB"]])
 
@@ -193,9 +193,9 @@ def decode_file(
             _check_png(opened)
         import OpenImageIO as oiio
 
-        wishes = oiio.ImageSpec()
-        wishes.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha
-        file = oiio.ImageInput.open(str(path), wishes)
+        hints = oiio.ImageSpec()
+        hints.attribute("oiio:UnassociatedAlpha", 1)  # else colours come multiplied by alpha
+        file = oiio.ImageInput.open(str(path), hints)
         if file is None:
             raise ValueError(f"not a picture that can be read ({first_line(oiio.geterror())})")
         try:
@@ -205,17 +205,17 @@ def decode_file(
             kind = str(spec.format)
             kind = kind if integers and kind in ("uint8", "uint16") else "float"
             values = file.read_image(kind)
-            complaint = file.geterror()  # a truncated JPEG has values as well as an error
-            if values is None or complaint:
-                raise ValueError(f"the picture is broken ({first_line(complaint)})")
+            message = file.geterror()  # a truncated JPEG has values as well as an error
+            if values is None or message:
+                raise ValueError(f"the picture is broken ({first_line(message)})")
             several = file.seek_subimage(1, 0)
         finally:
             file.close()
     pixels = np.asarray(values).reshape(spec.height, spec.width, spec.nchannels)
-    held = spec.get_int_attribute("Orientation", 1)
-    pixels = pixels.swapaxes(0, 1) if held in (5, 6, 7, 8) else pixels
-    pixels = pixels[::-1] if held in (3, 4, 7, 8) else pixels
-    pixels = pixels[:, ::-1] if held in (2, 3, 6, 7) else pixels
+    orientation = spec.get_int_attribute("Orientation", 1)
+    pixels = pixels.swapaxes(0, 1) if orientation in (5, 6, 7, 8) else pixels
+    pixels = pixels[::-1] if orientation in (3, 4, 7, 8) else pixels
+    pixels = pixels[:, ::-1] if orientation in (2, 3, 6, 7) else pixels
     return np.ascontiguousarray(pixels), spec, several
 
 

@@ -53,9 +53,9 @@ def encode_maps(path: str | Path, maps: IrisMaps) -> bytes:
     present = maps.present()
     if not present:
         raise ValueError(f"{path}: there are no maps to write")
-    said = "rows angles, columns radii from the pupil; mm, freckles 0 to 1, others relative"
+    comment = "rows angles, columns radii from the pupil; mm, freckles 0 to 1, others relative"
     if "residual" in present:
         colours = np.moveaxis(np.asarray(present.pop("residual")), -1, 0)
         present |= zip(RESIDUAL, colours, strict=True)
     image = np.stack(list(present.values()), axis=-1)
-    return encode_exr(path, image, tuple(present), {"comments": f"maps of an iris: {said}"})
+    return encode_exr(path, image, tuple(present), {"comments": f"maps of an iris: {comment}"})

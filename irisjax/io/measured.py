@@ -111,11 +111,11 @@ def read_measured(path: str | Path, **how: Unpack[ReadOptions]) -> Measured:
         ValueError: naming the file, the row and the problem, such as numbers that are no
             reflectances, or could be fractions as well as per cent.
     """
-    chosen = (how.get(name) for name in ("quantity", "column", "sd"))
+    options = (how.get(name) for name in ("quantity", "column", "sd"))
     with naming(path):
         _check(how)
         table = read_spectral_table(path)
-        return _spectrum(table, how, select(table, *chosen))
+        return _spectrum(table, how, select(table, *options))
 
 
 def read_eyes(path: str | Path, **how: Unpack[ReadOptions]) -> dict[str, Measured | ValueError]:
@@ -130,7 +130,7 @@ def read_eyes(path: str | Path, **how: Unpack[ReadOptions]) -> dict[str, Measure
     Raises:
         ValueError: naming the file and a problem of the whole table.
     """
-    found: dict[str, Measured | ValueError] = {}
+    eyes: dict[str, Measured | ValueError] = {}
     with naming(path):
         _check(how)
         if how.get("column") or how.get("sd"):
@@ -138,57 +138,57 @@ def read_eyes(path: str | Path, **how: Unpack[ReadOptions]) -> dict[str, Measure
         table = read_spectral_table(path)
     for name, columns in eyes_of(table).items():
         try:
-            found[name] = _spectrum(table, how, select(table, how.get("quantity"), among=columns))
+            eyes[name] = _spectrum(table, how, select(table, how.get("quantity"), among=columns))
         except ValueError as error:
-            found[name] = error
-    return found
+            eyes[name] = error
+    return eyes
 
 
 def _check(how: ReadOptions) -> None:
     known = {"quantity": QUANTITIES, "unit": REFLECTANCE_UNITS, "wavelength_unit": WAVELENGTH_UNITS}
     for name, allowed in known.items():
-        if (given := how.get(name)) not in (None, *allowed):
-            raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {given!r}")
+        if (value := how.get(name)) not in (None, *allowed):
+            raise ValueError(f"{name} must be one of {', '.join(allowed)}, got {value!r}")
 
 
-def _spectrum(table: Columns, how: ReadOptions, chosen: Selection) -> Measured:
-    notes = [*table.notes, *chosen.notes]
-    used = [0, *chosen.spectra, *([] if chosen.sd is None else [chosen.sd])]
-    values, where = table.values[:, used], np.array(table.where)
+def _spectrum(table: Columns, how: ReadOptions, selection: Selection) -> Measured:
+    notes = [*table.notes, *selection.notes]
+    columns = [0, *selection.spectra, *([] if selection.sd is None else [selection.sd])]
+    values, where = table.values[:, columns], np.array(table.where)
     for i, j in np.argwhere(np.isinf(values))[:1]:
         raise ValueError(f"{where[i]}: {values[i, j]} is not a finite number")
-    kept = ~np.isnan(values).any(axis=1)
-    if not kept.any():
+    valid = ~np.isnan(values).any(axis=1)
+    if not valid.any():
         raise ValueError("no wavelength has a value")
-    if not kept.all():
-        notes.append(f"{(~kept).sum()} of {kept.size} wavelengths without a value skipped")
-    values, where = values[kept], where[kept]
+    if not valid.all():
+        notes.append(f"{(~valid).sum()} of {valid.size} wavelengths without a value skipped")
+    values, where = values[valid], where[valid]
     x = _in_nm(values[:, 0], where, table.names[0], how.get("wavelength_unit"), notes)
-    kept = within_range(x, how.get("wavelengths"), notes)
-    order = np.flatnonzero(kept)[np.argsort(x[kept], kind="stable")]
+    valid = within_range(x, how.get("wavelengths"), notes)
+    order = np.flatnonzero(valid)[np.argsort(x[valid], kind="stable")]
     x, where = x[order], where[order]
     for i in np.flatnonzero(np.diff(x) == 0)[:1]:
         raise ValueError(f"{where[i + 1]}: {x[i]:g} nm appears twice")
-    count = len(chosen.spectra)
+    count = len(selection.spectra)
     scans, sd = values[order, 1 : count + 1], values[order, count + 1 :]
     if sd.size and not sd.any():
         notes.append("standard deviations of zero are none")
-        sd, chosen = sd[:, :0], chosen._replace(sd=None)
+        sd, selection = sd[:, :0], selection._replace(sd=None)
     elif sd.size:
-        sd = sd * _factor_of_sd(table.names[used[-1]], scans)
-    if ELSE in table.header and not (how.get("quantity") or chosen.role):
-        said = f"the preamble or the name of the file says {table.header[ELSE]!r}"
-        raise ValueError(f"{said}: give --quantity, {', '.join(QUANTITIES)}")
-    quantity = how.get("quantity") or chosen.role or REFLECTANCE
+        sd = sd * _factor_of_sd(table.names[columns[-1]], scans)
+    if ELSE in table.header and not (how.get("quantity") or selection.role):
+        message = f"the preamble or the name of the file says {table.header[ELSE]!r}"
+        raise ValueError(f"{message}: give --quantity, {', '.join(QUANTITIES)}")
+    quantity = how.get("quantity") or selection.role or REFLECTANCE
     if quantity in (ABSORBANCE, KUBELKA_MUNK):
         form = "log10(1/R)" if quantity == ABSORBANCE else "(1 - R)²/2R"
         notes.append(f"{quantity} {form} converted to reflectance")
         scans, slope = _reflectance_of(scans, quantity)
         sd = slope[:, :1] * sd
     elif quantity == REFLECTANCE:
-        unit = _unit(scans, how.get("unit"), chosen.label, table.header, notes)
-        if chosen.sd is not None:
-            _check_unit_of_sd(table.names[used[-1]], unit)
+        unit = _unit(scans, how.get("unit"), selection.label, table.header, notes)
+        if selection.sd is not None:
+            _check_unit_of_sd(table.names[columns[-1]], unit)
         scale = 100 if unit == "percent" else 1
         scans, sd = scans / scale, sd / scale
     doubts = () if quantity == RADIANCE else _doubts(x, scans)
@@ -197,7 +197,7 @@ def _spectrum(table: Columns, how: ReadOptions, chosen: Selection) -> Measured:
         notes.append(f"mean of {count} scans; their scatter is the noise")
         if scatter is None:
             notes.append("the scans are equal: their scatter says nothing about the noise")
-    noise = scatter if chosen.sd is None else sd[:, 0]
+    noise = scatter if selection.sd is None else sd[:, 0]
     if noise is not None:
         for i in np.flatnonzero(~(noise > 0))[:1]:
             raise ValueError(f"{where[i]}: standard deviation {noise[i]:g}; it must be > 0")
@@ -210,21 +210,21 @@ def _resolution(
 ) -> tuple[float | None, float | None]:
     """Widths of a moving average and of a slit, nm, that the file states."""
     correlated, bandwidth = None, None
-    aside = int(table.header.get(BOXCAR, 0))
-    if aside and x.size > 1:
-        pixels = 2 * aside + 1
+    boxcar = int(table.header.get(BOXCAR, 0))
+    if boxcar and x.size > 1:
+        pixels = 2 * boxcar + 1
         correlated = round(pixels * float(np.median(np.diff(x))), 3)
         notes.append(
             f"noise correlated over {correlated:g} nm ({pixels} pixels), as the file's boxcar of "
-            f"{aside} says; --boxcar {correlated:g} if the spectrum itself is smoothed so much"
+            f"{boxcar} says; --boxcar {correlated:g} if the spectrum itself is smoothed so much"
         )
     if "bandwidth" in table.header:
         try:
             bandwidth = float(table.header["bandwidth"].split()[0])
             check_range("bandwidth", bandwidth, BANDWIDTH)
         except (ValueError, IndexError):
-            said = table.header["bandwidth"]
-            raise ValueError(f"bandwidth: {said!r} is no width in nm") from None
+            width = table.header["bandwidth"]
+            raise ValueError(f"bandwidth: {width!r} is no width in nm") from None
         notes.append(f"bandwidth of {bandwidth:g} nm, as the file says; --bandwidth otherwise")
     return correlated, bandwidth
 
@@ -245,21 +245,21 @@ def _in_nm(
     return WAVELENGTH_UNITS[unit or "nm"](x)
 
 
-def within_range(x: np.ndarray, asked: tuple[float, float] | None, notes: list[str]) -> np.ndarray:
+def within_range(x: np.ndarray, limits: tuple[float, float] | None, notes: list[str]) -> np.ndarray:
     """Which wavelengths are asked for and covered by the pigment tables."""
-    (low, high), why = common_range(), "which the pigment tables cover"
-    if asked is not None:
-        given = f"{asked[0]:g} to {asked[1]:g} nm are asked for"
-        if max(low, asked[0]) > min(high, asked[1]):
-            raise ValueError(f"{given}; the pigment tables have {low:g} to {high:g} nm")
-        low, high, why = max(low, asked[0]), min(high, asked[1]), "as asked"
+    (low, high), reason = common_range(), "which the pigment tables cover"
+    if limits is not None:
+        request = f"{limits[0]:g} to {limits[1]:g} nm are asked for"
+        if max(low, limits[0]) > min(high, limits[1]):
+            raise ValueError(f"{request}; the pigment tables have {low:g} to {high:g} nm")
+        low, high, reason = max(low, limits[0]), min(high, limits[1]), "as asked"
     inside, span = (x >= low) & (x <= high), f"{low:g} to {high:g} nm"
     if not inside.any():
-        other = "; --wavelength-unit if they are in another unit" if asked is None else ""
-        raise ValueError(f"wavelengths {x.min():g} to {x.max():g} nm; none is within {span}{other}")
+        hint = "; --wavelength-unit if they are in another unit" if limits is None else ""
+        raise ValueError(f"wavelengths {x.min():g} to {x.max():g} nm; none is within {span}{hint}")
     if not inside.all():
         left = f"{(~inside).sum()} of {inside.size} wavelengths left out"
-        notes.append(f"{left}: only {span}, {why}")
+        notes.append(f"{left}: only {span}, {reason}")
     return inside
 
 
@@ -272,18 +272,18 @@ def _unit(
     if unit is not None:
         return unit
     # Files that irisjax wrote hold fractions.
-    said = "fraction" if "irisjax" in header else header.get("unit", "")
-    if _PERCENT.search(f"{label} {said}"):
+    name = "fraction" if "irisjax" in header else header.get("unit", "")
+    if _PERCENT.search(f"{label} {name}"):
         return "percent"
     if re.search("‰|per ?mille|promille", label, re.I):
         raise ValueError(f"column {label!r}: give per cent or fractions")
-    if _FRACTION.search(said) or _FRACTION.search(label):
+    if _FRACTION.search(name) or _FRACTION.search(label):
         return "fraction"
     # One wild pixel must not decide, so the largest value is that of medians.
     middle, top = float(np.median(scans)), float(np.max(_smooth(scans)))
     if middle > 100:
-        said = "are no reflectances, neither fractions nor per cent; are they counts?"
-        raise ValueError(f"values up to {np.max(scans):,.6g} {said}")
+        reason = "are no reflectances, neither fractions nor per cent; are they counts?"
+        raise ValueError(f"values up to {np.max(scans):,.6g} {reason}")
     if top > _IMPOSSIBLE and middle > _BRIGHT / 2:
         notes.append("values read as per cent (the file does not say; --unit fraction otherwise)")
         return "percent"
@@ -306,10 +306,10 @@ def _factor_of_sd(name: str, scans: np.ndarray) -> np.ndarray | float:
 
 
 def _check_unit_of_sd(name: str, unit: str) -> None:
-    said = {"percent": _PERCENT, "fraction": _FRACTION}
+    forms = {"percent": _PERCENT, "fraction": _FRACTION}
     if _RELATIVE.search(name):
         return
-    for other, form in said.items():
+    for other, form in forms.items():
         if other != unit and form.search(name):
             to_do = "in the unit of the values, or call it 'relative sd' (of each value)"
             raise ValueError(f"column {name!r} is beside a {unit}: give it {to_do}")
@@ -328,8 +328,8 @@ def _reflectance_of(values: np.ndarray, quantity: str) -> tuple[np.ndarray, np.n
     if quantity == ABSORBANCE:
         with np.errstate(over="ignore"):
             return 10.0**-values, np.log(10) * 10.0**-values
-    found, root = thick_layer(values, 1.0, xp=np), np.sqrt(np.maximum(values * (values + 2), 0))
-    return found, found / np.where(root > 0, root, np.inf)
+    thick, root = thick_layer(values, 1.0, xp=np), np.sqrt(np.maximum(values * (values + 2), 0))
+    return thick, thick / np.where(root > 0, root, np.inf)
 
 
 def _doubts(x: np.ndarray, reflectance: np.ndarray) -> tuple[str, ...]:
@@ -339,9 +339,9 @@ def _doubts(x: np.ndarray, reflectance: np.ndarray) -> tuple[str, ...]:
     if (negative := (reflectance < 0).mean()) > _NEGATIVE:
         doubts.append(f"{100 * negative:.0f} % of the reflectances are negative: dark signal?")
     if 0 < wild.size <= max(1, x.size // 10):
-        some = ", ".join(f"{v:g}" for v in x[wild][:5]) + (", ..." if wild.size > 5 else "")
+        listing = ", ".join(f"{v:g}" for v in x[wild][:5]) + (", ..." if wild.size > 5 else "")
         doubts.append(
-            f"at {some} nm far from the neighbouring values: a wild pixel? --outliers keeps it "
+            f"at {listing} nm far from the neighbouring values: a wild pixel? --outliers keeps it "
             "from moving the fit, --wavelengths LOW:HIGH leaves it out"
         )
         reflectance = np.delete(reflectance, wild, axis=0)
@@ -362,9 +362,9 @@ def _wild(values: np.ndarray) -> np.ndarray:
     n = len(values)
     if n < _NEIGHBOURS:
         return np.zeros(0, int)
-    at = np.arange(n)[:, None] + np.array([-2, -1, 1, 2])
-    near = np.where(((at >= 0) & (at < n))[..., None], values[at.clip(0, n - 1)], np.nan)
+    rows = np.arange(n)[:, None] + np.array([-2, -1, 1, 2])
+    near = np.where(((rows >= 0) & (rows < n))[..., None], values[rows.clip(0, n - 1)], np.nan)
     low, middle, high = (f(near, axis=1) for f in (np.nanmin, np.nanmedian, np.nanmax))
-    off = np.abs(values - middle)
+    deviation = np.abs(values - middle)
     lone = (values > 2 * high) | (values < 0.5 * low)
-    return np.flatnonzero((lone & (off > _WILD * np.median(off, axis=0))).any(axis=1))
+    return np.flatnonzero((lone & (deviation > _WILD * np.median(deviation, axis=0))).any(axis=1))

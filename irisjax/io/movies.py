@@ -123,6 +123,6 @@ _WRITERS = {".gif": _gif, ".mp4": _mp4, ".png": _pngs}
 
 def _numbered(path: Path, number: int) -> Path:
     if len(_NUMBER.findall(path.name)) != 1 or path.name.count("%") != 1:
-        said = "the name of numbered frames holds one number, such as frame_%03d.png"
-        raise ValueError(f"{path}: {said}")
+        message = "the name of numbered frames holds one number, such as frame_%03d.png"
+        raise ValueError(f"{path}: {message}")
     return path.with_name(path.name % number)

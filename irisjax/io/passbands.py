@@ -48,30 +48,30 @@ def read_passbands(path: str | Path, illuminant: str | None = None) -> Passbands
             raise ValueError(f"the file has {known[0]} of bands and no {known[1]}; {_WANTED}")
         roles = [role_of(name) for name in table.names[1:]]
         if roles and all(role in SPECTRAL_ROLES for role in roles):
-            what = f"column {table.names[1]!r} ({roles[0]}) is of a spectrum, not of bands"
-            raise ValueError(f"{what}; {_WANTED}")
-        grid, each = table.values[:, 0], table.values[:, 1:]
+            reason = f"column {table.names[1]!r} ({roles[0]}) is of a spectrum, not of bands"
+            raise ValueError(f"{reason}; {_WANTED}")
+        grid, sensitivities = table.values[:, 0], table.values[:, 1:]
         order = np.argsort(grid)
-        grid, each = grid[order], each[order]
+        grid, sensitivities = grid[order], sensitivities[order]
         for i, j in np.argwhere(~np.isfinite(table.values))[:1]:
             raise ValueError(f"{table.where[i]}: no finite number for {table.names[j]!r}")
         low, high = common_range()
         inside = (grid >= low) & (grid <= high)
-        for name, column in zip(table.names[1:], each.T, strict=True):
+        for name, column in zip(table.names[1:], sensitivities.T, strict=True):
             lost = column[~inside].sum() / max(column.sum(), 1e-300)
             if lost > _MOST_OUTSIDE:
                 span = f"{low:g} to {high:g} nm, which the pigment tables cover"
                 raise ValueError(f"{100 * lost:.0f} % of the band {name!r} is outside {span}")
-        return Passbands.of(grid[inside], each[inside], illuminant)
+        return Passbands.of(grid[inside], sensitivities[inside], illuminant)
 
 
 def read_square(path: str | Path) -> np.ndarray:
     """Read a covariance, a square table of numbers (text) or an array (`.npy`)."""
     with naming(path):
         if Path(path).suffix.lower() == ".npy":
-            found = np.load(path, allow_pickle=False)
+            array = np.load(path, allow_pickle=False)
         else:
-            found = read_columns(read_text(path)).values
-        if found.ndim != 2 or found.shape[0] != found.shape[1] or not np.isfinite(found).all():
-            raise ValueError(f"need a square table of finite numbers, found shape {found.shape}")
-    return found
+            array = read_columns(read_text(path)).values
+        if array.ndim != 2 or array.shape[0] != array.shape[1] or not np.isfinite(array).all():
+            raise ValueError(f"need a square table of finite numbers, found shape {array.shape}")
+    return array

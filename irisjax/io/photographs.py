@@ -54,8 +54,8 @@ def read_photograph(path: str | Path) -> Photograph:
     suffix, name = Path(path).suffix.lower(), Path(path).name
     if suffix in HEIF:
         with naming(path), tempfile.TemporaryDirectory() as folder:
-            there = _as_png(path, Path(folder))
-            return read_photograph(there)._replace(name=name)
+            file = _as_png(path, Path(folder))
+            return read_photograph(file)._replace(name=name)
     if suffix not in (*RAW, *PHOTOGRAPHS):
         kinds = f"{', '.join((*PHOTOGRAPHS, *HEIF))}, or of camera raw in {' '.join(RAW)}"
         raise ValueError(f"{path}: a photograph's name must end in {kinds}")
@@ -64,9 +64,9 @@ def read_photograph(path: str | Path) -> Photograph:
             pixels, saturated, exif, notes = develop(path, _check_size)
             size, grey = saturated.shape, _is_grey(pixels)
         else:
-            values, spec, several = decode_file(path, PHOTOGRAPHS, integers=True, check=_check)
+            values, spec, more = decode_file(path, PHOTOGRAPHS, integers=True, check=_check)
             size, exif, notes = (spec.height, spec.width), _exif(spec), []
-            if several or _several(path, suffix):
+            if more or _several(path, suffix):
                 notes.append("The file holds several pictures: the first is read.")
             values = _colours(values, spec, notes)
             pixels = _linear(values, spec, notes)
@@ -94,10 +94,10 @@ def _as_png(path: str | Path, folder: Path) -> Path:
         image = pillow_heif.open_heif(path).to_pillow()
     except (ValueError, OSError, RuntimeError) as error:
         raise ValueError(f"not a picture that can be read ({error})") from None
-    there = folder / "photograph.png"
-    kept = {n: image.info[n] for n in ("icc_profile", "exif") if image.info.get(n)}
-    image.convert("RGB").save(there, compress_level=1, **kept)
-    return there
+    png = folder / "photograph.png"
+    metadata = {n: image.info[n] for n in ("icc_profile", "exif") if image.info.get(n)}
+    image.convert("RGB").save(png, compress_level=1, **metadata)
+    return png
 
 
 def _check(spec: "OpenImageIO.ImageSpec") -> None:
@@ -110,8 +110,8 @@ def _check(spec: "OpenImageIO.ImageSpec") -> None:
     if str(spec.format) not in ("uint8", "uint16", "half", "float", "double"):
         raise ValueError(f"values are {spec.format}; read are 8 and 16 bits and floats")
     if (colours := _colour_channels(spec)) != ["R", "G", "B"] and len(colours) != 1:
-        found = ", ".join(spec.channelnames)
-        raise ValueError(f"a photograph has the channels R, G, B or one of grey, this has {found}")
+        names = ", ".join(spec.channelnames)
+        raise ValueError(f"a photograph has the channels R, G, B or one of grey, this has {names}")
 
 
 def _check_size(rows: int, columns: int) -> None:
@@ -134,9 +134,9 @@ def _colours(values: np.ndarray, spec: "OpenImageIO.ImageSpec", notes: list[str]
         most = np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1
         if (values[..., names.index("A")] < most).any():
             notes.append("Transparency is left out: colours are as opaque pixels would have them.")
-    chosen = [names.index(name) for name in _colour_channels(spec)]
-    whole = chosen == list(range(len(names)))
-    return values if whole else np.ascontiguousarray(values[..., chosen])
+    indices = [names.index(name) for name in _colour_channels(spec)]
+    in_order = indices == list(range(len(names)))
+    return values if in_order else np.ascontiguousarray(values[..., indices])
 
 
 def _linear(values: np.ndarray, spec: "OpenImageIO.ImageSpec", notes: list[str]) -> np.ndarray:
@@ -149,18 +149,18 @@ def _linear(values: np.ndarray, spec: "OpenImageIO.ImageSpec", notes: list[str])
         notes.append(f"Colours by the embedded profile: {name}.")
         return pixels
     if values.dtype.kind == "f":
-        pixels, said = values, "Linear values on sRGB's primaries are assumed"
+        pixels, note = values, "Linear values on sRGB's primaries are assumed"
         if spec.getattribute("chromaticities") is not None:
-            said += "; the file's own are not used"
+            note += "; the file's own are not used"
     else:
-        pixels, said = srgb_to_linear(values), "Encoded as sRGB: the file has no colour profile"
+        pixels, note = srgb_to_linear(values), "Encoded as sRGB: the file has no colour profile"
         encoding = spec.get_string_attribute("oiio:ColorSpace")
         if spec.get_int_attribute("Exif:ColorSpace", 1) != 1:
-            said = "Read as sRGB, for want of a colour profile; Exif says that the colour space is "
-            said += "another (Adobe RGB in most cameras), so colours may be too dull"
+            note = "Read as sRGB, for want of a colour profile; Exif says that the colour space is "
+            note += "another (Adobe RGB in most cameras), so colours may be too dull"
         elif encoding not in _ENCODINGS:
-            said = f"Read as sRGB; the file says {encoding}"
-    notes.append(f"{said}.")
+            note = f"Read as sRGB; the file says {encoding}"
+    notes.append(f"{note}.")
     return np.repeat(pixels, 3, 2) if pixels.shape[2] == 1 else pixels
 
 

@@ -16,12 +16,12 @@ _ROWS = 256  # decoded at once: indices take eight bytes a value
 
 def srgb_to_linear(steps: np.ndarray) -> np.ndarray:
     """Linear float32 values of sRGB-encoded uint8 or uint16 ones, of any shape with rows first."""
-    most = np.iinfo(steps.dtype).max
-    table = np.asarray(srgb_decode(np.arange(most + 1) / most), np.float32)
-    found = np.empty(steps.shape, np.float32)
+    largest = np.iinfo(steps.dtype).max
+    table = np.asarray(srgb_decode(np.arange(largest + 1) / largest), np.float32)
+    linear = np.empty(steps.shape, np.float32)
     for i in range(0, len(steps), _ROWS):
-        found[i : i + _ROWS] = table[steps[i : i + _ROWS]]
-    return found
+        linear[i : i + _ROWS] = table[steps[i : i + _ROWS]]
+    return linear
 
 
 def profile_to_linear(values: np.ndarray, profile: bytes) -> tuple[np.ndarray, str]:
@@ -32,9 +32,9 @@ def profile_to_linear(values: np.ndarray, profile: bytes) -> tuple[np.ndarray, s
     from PIL import ImageCms
 
     try:
-        found = ImageCms.ImageCmsProfile(BytesIO(profile))
-        name = ImageCms.getProfileName(found).strip().split("\n")[0] or "without a name"
-        about: Any = found.profile
+        embedded = ImageCms.ImageCmsProfile(BytesIO(profile))
+        name = ImageCms.getProfileName(embedded).strip().split("\n")[0] or "without a name"
+        about: Any = embedded.profile
         space = about.xcolor_space.strip()
         if space not in ("RGB", "GRAY"):
             raise ValueError(f"embedded colour profile of {space}, read are RGB and grey ones")
@@ -46,7 +46,7 @@ def profile_to_linear(values: np.ndarray, profile: bytes) -> tuple[np.ndarray, s
             linear = _matrix_to_linear(values, profile)
             if linear is not None:
                 return linear, name
-        steps = _managed_in_8_bits(values, found)
+        steps = _managed_in_8_bits(values, embedded)
     except (ImageCms.PyCMSError, OSError) as error:
         raise ValueError(f"the embedded colour profile is broken ({error})") from None
     lossy = "" if values.dtype == np.uint8 else f", {values.dtype} before"
@@ -57,8 +57,8 @@ def _matrix_to_linear(values: np.ndarray, profile: bytes) -> np.ndarray | None:
     if values.dtype.kind == "f":
         xyz = _device_to_xyz(values, profile)
         return None if xyz is None else (xyz @ XYZ_TO_SRGB.T).astype(np.float32)
-    most = np.iinfo(values.dtype).max
-    xyz = _device_to_xyz(np.linspace(0, 1, most + 1)[:, None] * np.eye(3)[:, None], profile)
+    largest = np.iinfo(values.dtype).max
+    xyz = _device_to_xyz(np.linspace(0, 1, largest + 1)[:, None] * np.eye(3)[:, None], profile)
     if xyz is None:
         return None
     xyz = xyz.astype(np.float64)
@@ -81,10 +81,10 @@ def _device_to_xyz(values: np.ndarray, profile: bytes) -> np.ndarray | None:
 
     image = oiio.ImageBuf(np.ascontiguousarray(values, np.float32))
     with tempfile.TemporaryDirectory() as folder:
-        there = Path(folder, "embedded.icc")
-        there.write_bytes(profile)
+        file = Path(folder, "embedded.icc")
+        file.write_bytes(profile)
         # OpenColorIO's forward direction is to the device.
-        if not oiio.ImageBufAlgo.ociofiletransform(image, image, str(there), inverse=True):
+        if not oiio.ImageBufAlgo.ociofiletransform(image, image, str(file), inverse=True):
             return None
     return np.asarray(image.get_pixels("float")).reshape(values.shape)
 
@@ -94,8 +94,8 @@ def _managed_in_8_bits(values: np.ndarray, profile: Any) -> np.ndarray:
 
     if values.dtype.kind == "f":
         values = np.clip(values, 0, 1)
-    most = np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1
-    steps = np.rint(values * np.float32(255 / most)).astype(np.uint8)
+    largest = np.iinfo(values.dtype).max if values.dtype.kind == "u" else 1
+    steps = np.rint(values * np.float32(255 / largest)).astype(np.uint8)
     image = Image.fromarray(steps[..., 0] if steps.shape[-1] == 1 else steps)
     srgb = ImageCms.createProfile("sRGB")
     return np.asarray(ImageCms.profileToProfile(image, profile, srgb, outputMode="RGB"))

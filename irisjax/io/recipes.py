@@ -54,8 +54,8 @@ class Recipe(NamedTuple):
         """The mixer of the paints, or `ValueError` for a file of paints that it does not use."""
         if self.mixing == _HSL and self.paints is not None:
             raise ValueError(_NO_USE)
-        own = HslMixer if self.mixing == _HSL else KubelkaMunkMixer
-        mixer = own.default() if self.paints is None else read_paints(self.folder / self.paints)
+        model = HslMixer if self.mixing == _HSL else KubelkaMunkMixer
+        mixer = model.default() if self.paints is None else read_paints(self.folder / self.paints)
         return mixer.with_paints(self.palette) if self.palette else mixer
 
     def scans(self) -> dict[str, np.ndarray]:
@@ -88,25 +88,25 @@ def read_recipe(path: str | Path) -> Recipe:
     """
     path = Path(path)
     sections, where = check_sections(read_text(path), str(path), _SECTIONS, "coat")
-    given = sections.get("coat")
-    if not given:
+    tables = sections.get("coat")
+    if not tables:
         raise ValueError(f"{path}: no coats; write [[coat]] for each, the bottom one first")
-    for nth, table in enumerate(given):
+    for nth, table in enumerate(tables):
         if missing := [key for key in ("component", "paints") if key not in table]:
             raise ValueError(f"{where('coat', None, nth)}: coat needs {missing[0]}")
-    head = sections.get("painting", {})
-    if "paints" in head and head.setdefault("mixing", _KUBELKA_MUNK) == _HSL:
+    painting = sections.get("painting", {})
+    if "paints" in painting and painting.setdefault("mixing", _KUBELKA_MUNK) == _HSL:
         raise ValueError(f"{where('painting', 'mixing')}: {_NO_USE}")
-    usual: dict[str, Any] = dict(parameters={}, share=0.0, opacity=1.0, seed=0, height=0.0)
+    defaults: dict[str, Any] = dict(parameters={}, share=0.0, opacity=1.0, seed=0, height=0.0)
     coats = []
-    for table in given:
+    for table in tables:
         first, second = table.pop("paints")
-        coats.append(CoatRecipe(**(usual | table), first=first, second=second))
+        coats.append(CoatRecipe(**(defaults | table), first=first, second=second))
         # That of the coat before: at the base's height, a coat added at the end of a recipe would
         # lie below all others and not be seen.
-        usual["height"] = coats[-1].height
+        defaults["height"] = coats[-1].height
     palette = sections.get("palette", {})
-    return Recipe(tuple(coats), **head, palette=palette, folder=path.parent)
+    return Recipe(tuple(coats), **painting, palette=palette, folder=path.parent)
 
 
 def recipe_text(recipe: Recipe) -> str:
@@ -144,18 +144,18 @@ def read_paints(path: str | Path) -> KubelkaMunkMixer:
         if not pairs:
             raise ValueError("no paint beside the wavelengths")
         for i, j in np.argwhere(~COEFFICIENT.holds(table.values))[:1]:
-            said = f"{table.names[j]} = {table.values[i, j]:g} is outside {COEFFICIENT}"
-            raise ValueError(f"{table.where[i]}: {said}")
+            message = f"{table.names[j]} = {table.values[i, j]:g} is outside {COEFFICIENT}"
+            raise ValueError(f"{table.where[i]}: {message}")
         coefficients = table.values[:, 1:].T
         k, s = (coefficients[[pair[i] for pair in pairs.values()]] for i in (0, 1))
         for p, i in np.argwhere(k + s == 0)[:1]:
             raise ValueError(f"{table.where[i]}: K and S of {list(pairs)[p]} are both 0")
-        surface, said = None, table.header.get(_SURFACE)
-        if said is not None:
+        surface, entry = None, table.header.get(_SURFACE)
+        if entry is not None:
             try:
-                outside, inside = map(float, said.replace(",", " ").split())
+                outside, inside = map(float, entry.replace(",", " ").split())
             except ValueError:
-                raise ValueError(f"{_SURFACE}: {said!r} is not two numbers") from None
+                raise ValueError(f"{_SURFACE}: {entry!r} is not two numbers") from None
             surface = outside, inside
         return KubelkaMunkMixer(tuple(pairs), tuple(table.values[:, 0].tolist()), k, s, surface)
 
@@ -168,9 +168,9 @@ def _paired_columns(columns: Sequence[str]) -> dict[str, tuple[int, int]]:
             raise ValueError(f"column {name!r} is neither PAINT_K nor PAINT_S")
         if names.count(name) > 1:
             raise ValueError(f"column {name!r} appears twice")
-        other = name[:-1] + ("S" if name.endswith("K") else "K")
-        if other not in names:
-            raise ValueError(f"column {name} has no {other} beside it")
+        partner = name[:-1] + ("S" if name.endswith("K") else "K")
+        if partner not in names:
+            raise ValueError(f"column {name} has no {partner} beside it")
     paints = [name[:-2] for name in names if name.endswith("_K")]
     return {p: (names.index(f"{p}_K"), names.index(f"{p}_S")) for p in paints}
 
@@ -185,8 +185,8 @@ def _colour(name: str) -> EntryCheck:
 
 def _pair(value: Any) -> tuple[str, str]:
     names = [value] if isinstance(value, str) else value
-    known = isinstance(names, Sequence) and all(isinstance(n, str) for n in names)
-    if not known or len(names) not in (1, 2):
+    valid = isinstance(names, Sequence) and all(isinstance(n, str) for n in names)
+    if not valid or len(names) not in (1, 2):
         raise ValueError("must be one or two names of paints")
     return names[0], names[-1]
 

@@ -62,13 +62,13 @@ class SceneFile:
         A preset has pigments of its own under radiative transfer. A `ValueError` names file and
         line of parts that do not go together.
         """
-        chosen = INTEGRATORS[integrator or self._of("picture").get("integrator", "separable")]()
-        parts: dict[str, Any] = {"integrator": chosen}
+        method = INTEGRATORS[integrator or self._of("picture").get("integrator", "separable")]()
+        parts: dict[str, Any] = {"integrator": method}
         file = self._of("maps").get("file")
-        drawn = {} if file is None else {"maps": self._read(read_maps, "maps", file)}
+        maps = {} if file is None else {"maps": self._read(read_maps, "maps", file)}
         makers = {
             "eye": self._eye,
-            "iris": lambda: self._iris(parts["eye"], chosen.process),
+            "iris": lambda: self._iris(parts["eye"], method.process),
             "camera": self._camera,
             "light": self._lights,
             "environment": self._environment,
@@ -82,25 +82,25 @@ class SceneFile:
                 keys = self.sections.get(name, {})
                 key = next((k for k in keys if str(error).startswith(f"{k} ")), None)
                 raise _SceneError(f"{self.where(name, key)}: {name}: {error}") from None
-        if drawn and drawn["maps"].residual is not None:  # the maps of a photograph
-            parts["integrator"] = finer(chosen)
+        if maps and maps["maps"].residual is not None:  # the maps of a photograph
+            parts["integrator"] = finer(method)
             if not self._of("maps").get("residual", True):
-                drawn["maps"] = drawn["maps"].replace(residual=None)
-        return Scene(**parts | drawn)
+                maps["maps"] = maps["maps"].replace(residual=None)
+        return Scene(**parts | maps)
 
     def with_pupil(self, scene: Scene, radius: float) -> Scene:
         """Return a scene of this file with a pupil of another radius, mm: `Scene.with_pupil`, with
         maps grown anew where they are grown, so that furrows deepen, crypts close and cords bend.
         """
-        moved, process = scene.with_pupil(radius), scene.integrator.process
-        if process is None or moved.maps is None or "file" in self._of("maps"):
-            return moved
-        return moved.replace(maps=self._iris(moved.eye, process)["maps"])
+        wider, process = scene.with_pupil(radius), scene.integrator.process
+        if process is None or wider.maps is None or "file" in self._of("maps"):
+            return wider
+        return wider.replace(maps=self._iris(wider.eye, process)["maps"])
 
     def with_entries(self, section: str, **entries: Any) -> "SceneFile":
         """Return the same scene with other entries of a section, which is added if it is absent."""
-        changed = self._of(section) | entries
-        return dataclasses.replace(self, sections={**self.sections, section: changed})
+        table = self._of(section) | entries
+        return dataclasses.replace(self, sections={**self.sections, section: table})
 
     def _of(self, section: str) -> dict[str, Any]:
         return dict(self.sections.get(section, {}))
@@ -113,60 +113,60 @@ class SceneFile:
         try:
             return read(path)
         except (OSError, ValueError) as error:
-            said = f"{path}: {error.strerror}" if isinstance(error, OSError) else error
-            raise _SceneError(f"{self.where(section, 'file')}: {said}") from None
+            reason = f"{path}: {error.strerror}" if isinstance(error, OSError) else error
+            raise _SceneError(f"{self.where(section, 'file')}: {reason}") from None
 
     def _iris(self, eye: Eye, process: AbstractProcess) -> dict[str, Any]:
-        given, maps = self._of("iris"), self._of("maps")
+        entry, maps = self._of("iris"), self._of("maps")
         features = {k: v for k, v in maps.items() if k in FEATURES}
         # Maps from a file take the place of grown ones.
         grown = not maps.get("uniform", False) and "file" not in maps
-        if "preset" not in given:
-            iris = Iris.of_level(given.pop("level", "moderate")).replace(**given)
+        if "preset" not in entry:
+            iris = Iris.of_level(entry.pop("level", "moderate")).replace(**entry)
             drawn = procedural(iris, eye, **features, key=self._key("maps")) if grown else None
-        elif "level" in given:
+        elif "level" in entry:
             raise ValueError("give preset or level, not both")
         else:
-            named = given.pop("preset")
-            how: dict[str, Any] = {"process": process, "pigments": given, "features": features}
-            how["shape"] = (768, 256) if grown else (16, 8)  # small where nobody asked for maps
-            iris, drawn = preset(named, eye, **how, key=self._key("maps"))
+            name = entry.pop("preset")
+            options: dict[str, Any] = {"process": process, "pigments": entry, "features": features}
+            options["shape"] = (768, 256) if grown else (16, 8)  # small where nobody asked for maps
+            iris, drawn = preset(name, eye, **options, key=self._key("maps"))
         return {"iris": iris, "maps": drawn if grown else None}
 
     def _eye(self) -> dict[str, Any]:
-        given = self._of("eye")
-        kind, white = given.pop("cornea", "two-surfaces"), given.pop("sclera", True)
-        density: Any = given.pop("veins", "clear")
+        entry = self._of("eye")
+        kind, white = entry.pop("cornea", "two-surfaces"), entry.pop("sclera", True)
+        density: Any = entry.pop("veins", "clear")
         density = VEINS.get(density, density)
-        whiteness = {k: given.pop(k) for k in ("yellowing",) if k in given}
-        ring = {name: given.pop(key) for key, name in LIMBAL_RING.items() if key in given}
-        if off := given.pop("pupil_irregularity", 0.0):
-            if "pupil_harmonics" in given:
+        whiteness = {k: entry.pop(k) for k in ("yellowing",) if k in entry}
+        ring = {name: entry.pop(key) for key, name in LIMBAL_RING.items() if key in entry}
+        if irregularity := entry.pop("pupil_irregularity", 0.0):
+            if "pupil_harmonics" in entry:
                 raise ValueError("give pupil_irregularity or pupil_harmonics, not both")
-            given["pupil_harmonics"] = irregular_pupil(off, key=self._key("pupil"))
+            entry["pupil_harmonics"] = irregular_pupil(irregularity, key=self._key("pupil"))
         if "file" not in self._of("maps"):
-            given.setdefault("limbus_width", LIMBUS_WIDTH)
+            entry.setdefault("limbus_width", LIMBUS_WIDTH)
         elif "darkening" not in ring:  # as photographed: the maps hold it
             ring["darkening"] = 0
         if kind == "f09":
-            given = {"aqueous_index": 1.376, **given}
+            entry = {"aqueous_index": 1.376, **entry}
         eye = Eye(
             cornea={"two-surfaces": Cornea(), "f09": Cornea.f09(), "none": None}[kind],
             limbal_ring=LimbalRing(**ring) if ring.get("darkening", 1) > 0 else None,
             sclera=Sclera(veins=density, **whiteness) if white and kind != "none" else None,
-            **given,
+            **entry,
         )
         drawn = None if eye.sclera is None else veins(eye, key=self._key("veins"))
-        if (asked := self.sections.get("lids")) is not None:
-            fields = asked | {"nose": SIDES[asked.get("nose", "left")]}
+        if (section := self.sections.get("lids")) is not None:
+            fields = section | {"nose": SIDES[section.get("nose", "left")]}
             eye = eye.replace(lids=lids(eye, **fields, key=self._key("lids")))
         return {"eye": eye, "veins": drawn}
 
     def _camera(self) -> dict[str, Any]:
-        given = self._of("camera")
-        angles = {n: f"{n}_deg" for n in ("polar", "azimuth") if f"{n}_deg" in given}
-        given |= {name: math.radians(given.pop(key)) for name, key in angles.items()}
-        return {"camera": Camera(**given)}
+        entry = self._of("camera")
+        angles = {n: f"{n}_deg" for n in ("polar", "azimuth") if f"{n}_deg" in entry}
+        entry |= {name: math.radians(entry.pop(key)) for name, key in angles.items()}
+        return {"camera": Camera(**entry)}
 
     def _lights(self) -> dict[str, Any]:
         illuminant = self._of("picture").get("illuminant", "D65")
@@ -190,18 +190,18 @@ class SceneFile:
         return {"lights": lights, "illuminant": illuminant}
 
     def _environment(self) -> dict[str, Any]:
-        given = self.sections.get("environment")
-        if given is None:
+        entry = self.sections.get("environment")
+        if entry is None:
             return {}
-        if ("file" in given) == ("kind" in given):
+        if ("file" in entry) == ("kind" in entry):
             raise ValueError("needs file or kind")
-        if "file" in given:
-            around = self._read(read_environment, "environment", given["file"])
+        if "file" in entry:
+            sky = self._read(read_environment, "environment", entry["file"])
         else:
-            around = ENVIRONMENTS[given["kind"]](rows=512)
-        around = dataclasses.replace(around, radiance=around.radiance * given.get("strength", 1.0))
-        lights = given.get("lights", ENVIRONMENT_LIGHTS)
-        return {"environment": around, "environment_lights": lights}
+            sky = ENVIRONMENTS[entry["kind"]](rows=512)
+        sky = dataclasses.replace(sky, radiance=sky.radiance * entry.get("strength", 1.0))
+        lights = entry.get("lights", ENVIRONMENT_LIGHTS)
+        return {"environment": sky, "environment_lights": lights}
 
 
 def stream(seed: int, name: str) -> PRNGKey:
@@ -221,9 +221,9 @@ def parse_scene(text: str, name: str = "scene", folder: Path = Path()) -> SceneF
     maps = sections.get("maps", {})
     of_files = "file", "seed", "residual"
     if "file" in maps and (grown := [key for key in maps if key not in of_files]):
-        said = f"maps.{grown[0]} is for grown maps, and maps.file gives all of them"
+        message = f"maps.{grown[0]} is for grown maps, and maps.file gives all of them"
         to_do = "give one or the other (seed still draws the veins)"
-        raise ValueError(f"{where('maps', grown[0])}: {said}; {to_do}")
+        raise ValueError(f"{where('maps', grown[0])}: {message}; {to_do}")
     return SceneFile(sections, where, folder)
 
 
@@ -239,7 +239,7 @@ def scene_text(
             not uniform.
         remark: First line, a comment.
     """
-    eye, camera, around = scene.eye, scene.camera, scene.environment
+    eye, camera, sky = scene.eye, scene.camera, scene.environment
     named, ring = {} if given is None else given, eye.limbal_ring
     two = eye.cornea is not None and eye.cornea.posterior is not None
     sections: dict[str, dict[str, Any]] = {
@@ -266,11 +266,11 @@ def scene_text(
     if eye.lids is not None:
         side = next(name for name, sign in SIDES.items() if sign == eye.lids.nose)
         sections["lids"] = {n: getattr(eye.lids, n) for n in LID_LIMITS} | {"nose": side}
-    if around is not None:
+    if sky is not None:
         sections["environment"] = {"lights": scene.environment_lights}
         if "environment" not in named:
-            assert around.is_uniform()
-            sections["environment"] |= {"kind": "uniform", "strength": around.radiance[0, 0, 0]}
+            assert sky.is_uniform()
+            sections["environment"] |= {"kind": "uniform", "strength": sky.radiance[0, 0, 0]}
     for name, entries in named.items():
         sections[name] = sections.get(name, {}) | dict(entries)
     written: dict[str, Any] = {
@@ -286,8 +286,8 @@ def _light(lights: Lights, k: int) -> dict[str, Any]:
     x, y, z = np.asarray(lights.towards[k], np.float64)
     polar, azimuth = math.atan2(math.hypot(x, y), -z), math.atan2(y, x)
     place: dict[str, Any] = {"polar_deg": in_degrees(polar), "azimuth_deg": in_degrees(azimuth)}
-    if lights.distance is not None and np.isfinite(away := float(lights.distance[k])):
-        place = {"position": [round(away * v, 5) for v in (x, y, z)]}
+    if lights.distance is not None and np.isfinite(distance := float(lights.distance[k])):
+        place = {"position": [round(distance * v, 5) for v in (x, y, z)]}
     tint = {} if lights.tint is None else {"colour": lights.tint[k]}
     power = {"irradiance": lights.irradiance[k], "radius_deg": in_degrees(lights.radius[k])}
     return place | tint | power

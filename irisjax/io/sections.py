@@ -46,26 +46,26 @@ def check_sections(
     try:
         sections = tomllib.loads(written)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        said = "nested too deeply" if isinstance(error, RecursionError) else error
-        raise ValueError(f"{name}: {said}") from None
+        reason = "nested too deeply" if isinstance(error, RecursionError) else error
+        raise ValueError(f"{name}: {reason}") from None
 
     def where(section: str, key: str | None = None, nth: int = 0) -> str:
         line = _line_of(written, section, key, nth)
         return f"{name}, line {line}" if line else name
 
     def checked_table(section: str, nth: int, table: Mapping[str, Any]) -> dict[str, Any]:
-        checks, done = keys[section], {}
+        checks, values = keys[section], {}
         for key, value in table.items():
-            at = where(section, key, nth)
+            place = where(section, key, nth)
             if isinstance(checks, Mapping) and key not in checks:
                 known = ", ".join(checks)
-                raise ValueError(f"{at}: unknown {key!r} in {section}; known: {known}")
+                raise ValueError(f"{place}: unknown {key!r} in {section}; known: {known}")
             try:
                 check = checks[key] if isinstance(checks, Mapping) else checks(key)
-                done[key] = checked(value, check)
+                values[key] = checked(value, check)
             except ValueError as error:
-                raise ValueError(f"{at}: {section}.{key} = {value!r} {error}") from None
-        return done
+                raise ValueError(f"{place}: {section}.{key} = {value!r} {error}") from None
+        return values
 
     out: dict[str, Any] = {}
     for section, given in sections.items():
@@ -127,11 +127,11 @@ def plain(value: Any, digits: int | None = None) -> Any:
     if isinstance(value, Mapping):
         return {str(k): plain(v, digits) for k, v in value.items()}
     if hasattr(value, "tolist"):
-        found = np.asarray(value)
-        if not found.ndim and found.dtype.kind == "f":
-            value = float(str(found))  # the fewest digits that are this number in its precision
+        array = np.asarray(value)
+        if not array.ndim and array.dtype.kind == "f":
+            value = float(str(array))  # the fewest digits that are this number in its precision
         else:
-            value = list(found) if found.ndim else found.item()
+            value = list(array) if array.ndim else array.item()
     if isinstance(value, list | tuple):
         return [plain(v, digits) for v in value]
     if isinstance(value, float):
@@ -151,8 +151,8 @@ def _line_of(text: str, section: str, key: str | None, nth: int) -> int | None:
     current, count, header = "", -1, None
     entry = None if key is None else re.compile(rf"\s*[\"']?{re.escape(key)}[\"']?\s*=")
     for number, line in enumerate(text.splitlines(), 1):
-        if found := re.match(r"\s*\[\[?\s*([\w-]+)\s*\]?\]", line):
-            current = found[1]
+        if match := re.match(r"\s*\[\[?\s*([\w-]+)\s*\]?\]", line):
+            current = match[1]
             if current == section:
                 count += 1
                 header = number if count == nth else header

@@ -24,8 +24,8 @@ def format_table(header: Mapping[str, str], columns: Mapping[str, np.ndarray]) -
     out = io.StringIO()
     for key, value in header.items():
         if "\n" in f"{key}{value}" or ":" in key:
-            said = "keys take no colon, and neither keys nor values a new line"
-            raise ValueError(f"header entry {key!r}: {said}")
+            rule = "keys take no colon, and neither keys nor values a new line"
+            raise ValueError(f"header entry {key!r}: {rule}")
         out.write(f"# {key}: {value}\n")
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(columns)
@@ -38,17 +38,17 @@ def read_header(path: str | Path) -> dict[str, str]:
     """Read the header of a CSV file, without remarks; a `ValueError` names file and line."""
     header: dict[str, str] = {}
     for number, line in enumerate(read_text(path).splitlines(), 1):
-        if found := HEADER.match(line):
-            key, value = found.groups()
+        if match := HEADER.match(line):
+            key, value = match.groups()
             if key in header:
                 raise ValueError(f"{path}, line {number}: {key} appears twice in the header")
             header[key] = value
     return header
 
 
-def first_line(said: object) -> str:
+def first_line(error: object) -> str:
     """The first line of a library's error, or of its text, for a message of one line."""
-    return str(said).strip().split("\n")[0][:160] or "no reason given"
+    return str(error).strip().split("\n")[0][:160] or "no reason given"
 
 
 @contextlib.contextmanager
@@ -57,10 +57,10 @@ def naming(path: str | Path) -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        said = str(error)
-        if not said.startswith(str(path)):
-            said = f"{path}{', ' if said.startswith('line ') else ': '}{said}"
-        raise ValueError(said) from None
+        message = str(error)
+        if not message.startswith(str(path)):
+            message = f"{path}{', ' if message.startswith('line ') else ': '}{message}"
+        raise ValueError(message) from None
 
 
 def check_writable(path: str | Path) -> None:
@@ -102,8 +102,8 @@ def replacing(path: str | Path) -> Iterator[Path]:
         with tempfile.TemporaryDirectory() as folder:
             temporary = Path(folder, path.name)
             yield temporary
-            with temporary.open("rb") as made, path.open("wb") as device:
-                shutil.copyfileobj(made, device)
+            with temporary.open("rb") as source, path.open("wb") as device:
+                shutil.copyfileobj(source, device)
         return
     target = Path(os.path.realpath(path))
     own = f"{os.getpid()}-{threading.get_ident()}"

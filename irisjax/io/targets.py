@@ -60,8 +60,8 @@ def read_target(path: str | Path, pupil: float) -> Target:
     if path.suffix.lower() in READABLE:
         return _of_picture(path, pupil)
     pictures = ", ".join(READABLE)
-    said = "neither the folder of a clone, nor a scene file (.toml), nor a picture"
-    raise ValueError(f"{path}: {said} ({pictures})")
+    message = "neither the folder of a clone, nor a scene file (.toml), nor a picture"
+    raise ValueError(f"{path}: {message} ({pictures})")
 
 
 def tissue_files(tissue: Tissue, eye: Eye) -> dict[str, bytes]:
@@ -74,12 +74,12 @@ def tissue_files(tissue: Tissue, eye: Eye) -> dict[str, bytes]:
         tissue.maps,
         eye=eye.replace(cornea=Cornea.f09(), aqueous_index=1.376, sclera=None),
     )
-    given = {"maps": {"file": TISSUE_MAPS}, "picture": {"exposure": tissue.exposure}}
+    entries = {"maps": {"file": TISSUE_MAPS}, "picture": {"exposure": tissue.exposure}}
     remark = (
         "A painted eye as tissue, by irisjax. Its colours differ from the paint's by a mean dE*ab"
         f"\n# of {tissue.left.mean:.1f} at this exposure; the white (sclera = true) is overexposed."
     )
-    text = scene_text(scene, given, remark)
+    text = scene_text(scene, entries, remark)
     return {TISSUE_MAPS: encode_maps(TISSUE_MAPS, tissue.maps), TISSUE_SCENE: text.encode()}
 
 
@@ -87,8 +87,8 @@ def _of_clone(folder: Path) -> Target:
     summary = check_summary(folder)
     names = "pupil_radius_mm", "iris_radius_mm"
     if not {*names} <= summary.keys() or not (folder / VISIBLE_MASK).exists():
-        said = "it was stopped before its texture or is an older one; run irisjax clone again"
-        raise ValueError(f"{folder}: the clone has no {VISIBLE_MASK}, {said}")
+        message = "it was stopped before its texture or is an older one; run irisjax clone again"
+        raise ValueError(f"{folder}: the clone has no {VISIBLE_MASK}, {message}")
     pixels = read_image(folder / UNREFRACTED_PICTURE, decode=True).pixels
     shown = read_image(folder / VISIBLE_MASK).pixels[..., 0]
     inner, outer = (float(summary[name]) for name in names)
@@ -100,23 +100,23 @@ def _of_scene(path: Path) -> Target:
     scene = file.scene()
     eye, integrator = scene.eye, scene.integrator
     if not isinstance(integrator, Separable | RadiativeIntegrator):
-        said = "has no reflectance; need separable or radiative-transfer"
-        raise ValueError(f"{path}: an iris of the integrator {integrator_name(integrator)} {said}")
+        need = "has no reflectance; need separable or radiative-transfer"
+        raise ValueError(f"{path}: an iris of the integrator {integrator_name(integrator)} {need}")
     # Separable: with degrees for the wide ranges of maps, by default.
-    chosen = None if isinstance(integrator, Separable) else integrator
-    found = np.asarray(reflectance_of(scene.tissue, scene.maps, eye, chosen))
+    method = None if isinstance(integrator, Separable) else integrator
+    values = np.asarray(reflectance_of(scene.tissue, scene.maps, eye, method))
     if scene.maps is None:
-        found = np.broadcast_to(found[:1, :1], (*TEXTURE_SHAPE, 3))
+        values = np.broadcast_to(values[:1, :1], (*TEXTURE_SHAPE, 3))
     pupil = float(eye.pupil_radius / eye.iris_radius)
-    return Target(path.name, file.exposure * found, np.ones(found.shape[:2], bool), pupil)
+    return Target(path.name, file.exposure * values, np.ones(values.shape[:2], bool), pupil)
 
 
 def _of_picture(path: Path, pupil: float) -> Target:
     image = read_image(path, decode=True)
     rows, columns, _ = image.pixels.shape
     if rows != columns:
-        said = "it must be square, the outer edge of the iris touching its four sides"
-        raise ValueError(f"{path}: is {columns} x {rows} pixels; {said}")
+        message = "it must be square, the outer edge of the iris touching its four sides"
+        raise ValueError(f"{path}: is {columns} x {rows} pixels; {message}")
     colours = [i for i, name in enumerate(image.channels) if name != "A"][:3]
     pixels = image.pixels[..., colours if len(colours) == 3 else colours[:1] * 3]
     shown = np.ones((rows, columns), bool)

@@ -123,12 +123,12 @@ def _rows_of_numbers(lines: _Lines) -> _Rows:
         return {i: len(row) for i, row in enumerate(rows) if row is not None and len(row) > 1}
 
     separator, comma = max(_LAYOUTS, key=lambda layout: len(widths(*layout)))
-    found = widths(separator, comma)
-    if not found:
+    sizes = widths(separator, comma)
+    if not sizes:
         raise ValueError(_without_numbers(lines))
     # The table is the rows of the commonest width; numbers of a preamble have another.
-    width = max(found.values(), key=list(found.values()).count)
-    first, last = next(i for i, n in found.items() if n == width), max(found)
+    width = max(sizes.values(), key=list(sizes.values()).count)
+    first, last = next(i for i, n in sizes.items() if n == width), max(sizes)
     for number, line in lines[max(first - 1, 0) : first]:  # a faulty row, no names
         cells = cells_of(line, separator)
         if len(cells) == width and np.isfinite(number_of(cells[0], comma) or np.nan):
@@ -153,16 +153,16 @@ def _rows_of_numbers(lines: _Lines) -> _Rows:
     if above and len(above[-1]) == width - 1 and counts(table[:, 0]):
         above[-1].insert(0, "")  # R's names of rows have no title
     names = with_units(_names(above, width), units)
-    kept = [j for j in range(width) if names[j] or np.isfinite(table[:, j]).any()]
-    return table[:, kept], [names[j] for j in kept], where, _left_out(below)
+    columns = [j for j in range(width) if names[j] or np.isfinite(table[:, j]).any()]
+    return table[:, columns], [names[j] for j in columns], where, _left_out(below)
 
 
 def _left_out(below: _Lines) -> tuple[str, ...]:
     if not below:
         return ()
     number = len(below)
-    what = "one line" if number == 1 else f"{number} lines"
-    return (f"{what} below the table left out, from line {below[0][0]}",)
+    amount = "one line" if number == 1 else f"{number} lines"
+    return (f"{amount} below the table left out, from line {below[0][0]}",)
 
 
 def _without_numbers(lines: _Lines) -> str:
@@ -214,12 +214,12 @@ def _pairs(names: list[str]) -> bool:
     return len(names) > 3 and len(names) % 2 == 0 and len(set(names[::2])) == 1
 
 
-def _names_said(text: str, every: _Lines, where: list[str], width: int) -> list[str] | None:
+def _names_said(text: str, rows: _Lines, where: list[str], width: int) -> list[str] | None:
     """Names of unnamed columns: those of a comment right above the numbers, or units stated in the
     preamble.
     """
-    at = next((i for i, (number, _) in enumerate(every) if where[0] == f"line {number}"), 0)
-    above = every[at - 1][1].strip() if at else ""
+    start = next((i for i, (number, _) in enumerate(rows) if where[0] == f"line {number}"), 0)
+    above = rows[start - 1][1].strip() if start else ""
     if above.startswith("#"):
         for separator in ("\t", ";", ",", None):
             names = cells_of(above.lstrip("# "), separator)
@@ -227,14 +227,14 @@ def _names_said(text: str, every: _Lines, where: list[str], width: int) -> list[
                 return names
     # ENVI: "Column 2: name~~1##255,0,0"; USGS: "wavelength   reflectance   standard deviation".
     numbered = re.findall(r"^Column \d+: *(.*?) *(?:~~.*)?$", text, re.M)
-    listed = [re.split(r"\t|\s{2,}", line.strip()) for _, line in every[:at]]
+    listed = [re.split(r"\t|\s{2,}", line.strip()) for _, line in rows[:start]]
     for names in (numbered, *reversed(listed)):
         if len(names) == width and re.match("wavel", names[0], re.I):
             return names
-    said = {axis.upper(): unit for axis, unit in _UNITS.findall(text)}
-    lone = [line.strip() for _, line in every[:at] if _LONE_UNIT.match(line.strip())]
-    if width == 2 and ("Y" in said or lone):
-        return [f"wavelength ({said['X']})" if "X" in said else "", said.get("Y", *lone[-1:])]
+    units = {axis.upper(): unit for axis, unit in _UNITS.findall(text)}
+    lone = [line.strip() for _, line in rows[:start] if _LONE_UNIT.match(line.strip())]
+    if width == 2 and ("Y" in units or lone):
+        return [f"wavelength ({units['X']})" if "X" in units else "", units.get("Y", *lone[-1:])]
     return None
 
 
@@ -250,8 +250,8 @@ def _rows_of_spectra(lines: _Lines) -> _Rows | None:
         if not groups:
             continue
         rows = [(number, cells_of(line, separator)) for number, line in lines[i + 1 :]]
-        until = next((k for k, row in enumerate(rows) if not _has_spectra(row[1], groups)), None)
-        rows, below = rows[:until], [] if until is None else lines[i + 1 + until :]
+        end = next((k for k, row in enumerate(rows) if not _has_spectra(row[1], groups)), None)
+        rows, below = rows[:end], [] if end is None else lines[i + 1 + end :]
         if not rows:
             continue
         for number, cells in [(n, cells_of(line, separator)) for n, line in below]:
@@ -265,9 +265,9 @@ def _spectra_of(
     titles: list[str], groups: dict[str, dict[float, int]], rows: list[tuple[int, list[str]]]
 ) -> tuple[np.ndarray, list[str], list[str]]:
     """Columns and their names of the spectra in these rows."""
-    every = sorted(set().union(*groups.values()))
+    keys = sorted(set().union(*groups.values()))
     first = min(min(places.values()) for places in groups.values())
-    columns, names = [np.array(every)], ["wavelength (nm)"]
+    columns, names = [np.array(keys)], ["wavelength (nm)"]
     labels = [_label(titles[:first], cells[:first]) for _, cells in rows]
     for j in range(first):  # rows of one name may differ in a word, such as SCI and SCE
         words = [cells[j] if not re.search(r"\d", cells[j]) else "" for _, cells in rows]
@@ -278,16 +278,16 @@ def _spectra_of(
         ]
     for name, places in groups.items():
         for label, (_, cells) in zip(labels, rows, strict=True):
-            found = _numbers([cells[j] for j in places.values()], True) or []
-            values = dict(zip(places, found, strict=True))
-            columns.append(np.array([values.get(x, np.nan) for x in every]))
+            numbers = _numbers([cells[j] for j in places.values()], True) or []
+            values = dict(zip(places, numbers, strict=True))
+            columns.append(np.array([values.get(x, np.nan) for x in keys]))
             kind = name if len(groups) > 1 or not label else ""
             units: CellUnits = [None]
             for j in places.values():
                 units = units_of([cells[j]], units, f"column {titles[j]}")
             title = " ".join(part for part in (label, kind) if part)
             names += with_units([title], units)
-    return np.stack(columns, 1), names, [f"column {x:g} nm" for x in every]
+    return np.stack(columns, 1), names, [f"column {x:g} nm" for x in keys]
 
 
 def _has_spectra(cells: list[str], groups: dict[str, dict[float, int]]) -> bool:
@@ -337,15 +337,15 @@ def counts(column: np.ndarray) -> bool:
 
 def units_of(cells: list[str], before: CellUnits, where: str) -> CellUnits:
     """The unit beside the number of each cell, which must be that of the rows before."""
-    found: CellUnits = []
+    units: CellUnits = []
     for cell, other in zip(cells, before, strict=True):
         unit = _UNIT_OF_CELL.search(cell)
         own = None if cell.lower() in _MISSING else unit[1] if unit else ""
         if None not in (own, other) and own != other:
             stated = f"{own or 'no unit'} where the cells before have {other or 'none'}"
             raise ValueError(f"{where}: {cell!r} has {stated}")
-        found.append(other if own is None else own)
-    return found
+        units.append(other if own is None else own)
+    return units
 
 
 def with_units(names: list[str], units: CellUnits) -> list[str]:
@@ -359,9 +359,9 @@ def with_units(names: list[str], units: CellUnits) -> list[str]:
 
 def _numbers(cells: list[str], comma: bool) -> list[float] | None:
     """Numbers of a row, NaN for what is missing beside the first; `None` if it is no such row."""
-    found = [number_of(cell, comma) for cell in cells]
-    row = [value for value in found if value is not None]
-    return row if row and len(row) == len(found) and not np.isnan(row[0]) else None
+    numbers = [number_of(cell, comma) for cell in cells]
+    row = [value for value in numbers if value is not None]
+    return row if row and len(row) == len(numbers) and not np.isnan(row[0]) else None
 
 
 def number_of(cell: str, comma: bool) -> float | None:

@@ -92,8 +92,8 @@ class Observer(eqx.Module):
             why = "it integrates over the whole grid, which jax.vmap over it would take apart"
             raise ValueError(f"a colour needs at least two wavelengths: {why}")
         if not is_known(wavelengths):
-            made = _weighting(as_float(wavelengths), illuminant, observer, jnp)
-            return cls(*made, illuminant, observer)
+            arrays = _weighting(as_float(wavelengths), illuminant, observer, jnp)
+            return cls(*arrays, illuminant, observer)
         grid = np.asarray(wavelengths, np.float64)
         _check_visible(grid)
         return _observer(grid.tobytes(), illuminant, observer, str(jnp.result_type(float)))
@@ -140,17 +140,17 @@ def tristimulus_matrix(
 @eqx.filter_jit
 def srgb_encode(linear: Numbers) -> Array:
     """sRGB transfer function [IEC 61966-2-1]; negative values follow its linear foot."""
-    foot = linear <= 0.0031308
-    power = jnp.where(foot, 1.0, linear) ** (1 / 2.4)
-    return jnp.where(foot, 12.92 * linear, 1.055 * power - 0.055)
+    dark = linear <= 0.0031308
+    power = jnp.where(dark, 1.0, linear) ** (1 / 2.4)
+    return jnp.where(dark, 12.92 * linear, 1.055 * power - 0.055)
 
 
 @eqx.filter_jit
 def srgb_decode(encoded: Numbers) -> Array:
     """Linear values of sRGB-encoded ones; the inverse of `srgb_encode`."""
-    foot = encoded <= 12.92 * 0.0031308
-    power = ((jnp.where(foot, 1.0, encoded) + 0.055) / 1.055) ** 2.4
-    return jnp.where(foot, encoded / 12.92, power)
+    dark = encoded <= 12.92 * 0.0031308
+    power = ((jnp.where(dark, 1.0, encoded) + 0.055) / 1.055) ** 2.4
+    return jnp.where(dark, encoded / 12.92, power)
 
 
 @eqx.filter_jit
@@ -169,14 +169,14 @@ def agx_encode(linear: Float[Array | np.ndarray, "*s 3"]) -> Float[Array, "*s 3"
     least = 0.18 * 2.0**-below
     stops = jnp.log2(jnp.maximum(linear @ mixing.T, least) / least)
     pivot = below / (below + above)
-    away = jnp.clip(stops / (below + above), 0, 1) - pivot
+    offset = jnp.clip(stops / (below + above), 0, 1) - pivot
 
-    def bent(away, most, power):
+    def bent(offset, limit, power):
         """A slope of 2 at 0, and 0.5 at `most`."""
-        scale = ((4 * most) ** power - 1) / most**power
-        return 2 * away / (1 + scale * away**power) ** (1 / power)
+        scale = ((4 * limit) ** power - 1) / limit**power
+        return 2 * offset / (1 + scale * offset**power) ** (1 / power)
 
-    toe, shoulder = jnp.maximum(-away, 0.0), jnp.maximum(away, 0.0)
+    toe, shoulder = jnp.maximum(-offset, 0.0), jnp.maximum(offset, 0.0)
     shown = 0.5 + bent(shoulder, 1 - pivot, 3.25) - bent(toe, pivot, 3.0)
     return jnp.clip(shown @ jnp.linalg.inv(mixing).T, 0, 1)
 
@@ -205,13 +205,13 @@ def _check_visible(grid: np.ndarray) -> None:
     with steps of 25 nm by up to 1.1.
     """
     if grid[0] > VISIBLE[0] or grid[-1] < VISIBLE[1]:
-        said = f"it needs all from {VISIBLE[0]:g} to {VISIBLE[1]:g} nm"
-        raise ValueError(f"wavelengths from {grid[0]:g} to {grid[-1]:g} nm make no colour: {said}")
+        need = f"it needs all from {VISIBLE[0]:g} to {VISIBLE[1]:g} nm"
+        raise ValueError(f"wavelengths from {grid[0]:g} to {grid[-1]:g} nm make no colour: {need}")
     widest = int(np.argmax(np.diff(grid)))
     one, next_ = grid[widest], grid[widest + 1]
     if next_ - one > _WIDEST:
-        said = f"{one:g} nm is followed by {next_:g} nm"
-        raise ValueError(f"a colour needs steps of at most {_WIDEST:g} nm; {said}")
+        need = f"{one:g} nm is followed by {next_:g} nm"
+        raise ValueError(f"a colour needs steps of at most {_WIDEST:g} nm; {need}")
 
 
 def illuminant_power(illuminant: str, wavelengths: Numbers) -> Any:
@@ -247,10 +247,10 @@ def _weighting(x, illuminant: str, observer: str, xp):
     """The arrays of an `Observer`; `xp` is `numpy`, or `jax.numpy` for a traced grid."""
     check_known("observer", observer, OBSERVERS)
     grid, *cmfs = _tables()[f"observer {observer}"]
-    at = partial(np.interp, x, left=0.0, right=0.0)
+    interpolate = partial(np.interp, x, left=0.0, right=0.0)
     if xp is jnp:
-        at = partial(piecewise_linear, x, outside=0.0)
-    xyz_bar = xp.stack([at(grid, cmf) for cmf in cmfs])
+        interpolate = partial(piecewise_linear, x, outside=0.0)
+    xyz_bar = xp.stack([interpolate(grid, cmf) for cmf in cmfs])
     # Trapezoidal rule on the caller's grid.
     width = xp.concatenate([x[1:2] - x[:1], x[2:] - x[:-2], x[-1:] - x[-2:-1]]) / 2
     weights = xyz_bar * (illuminant_power(illuminant, x) * width)[None]

@@ -97,8 +97,8 @@ class AbstractInstrument(eqx.Module):
             if not self.has_aperture:
                 raise ValueError(f"a {type(self).__name__} has no aperture, got {aperture!r}")
             if isinstance(cos_incidence, str):
-                why = "by reciprocity it reads what light along the normal gives in all directions"
-                raise ValueError(f"diffuse light and an aperture: {why}; give neither")
+                law = "by reciprocity it reads what light along the normal gives in all directions"
+                raise ValueError(f"diffuse light and an aperture: {law}; give neither")
             check_range("aperture", aperture, NUMERICAL_APERTURE)
         if bands is not None and not self.has_bands:
             raise ValueError(f"a {type(self).__name__} has no bands, got bands = {bands!r}")
@@ -108,8 +108,8 @@ class AbstractInstrument(eqx.Module):
         check_known("cornea", cornea, get_args(Crossing))
         diffuse = isinstance(cos_incidence, str)
         if diffuse and cornea != "none":
-            why = "through the cornea light comes from one direction"
-            raise ValueError(f'cos_incidence = "diffuse" needs cornea="none": {why}')
+            law = "through the cornea light comes from one direction"
+            raise ValueError(f'cos_incidence = "diffuse" needs cornea="none": {law}')
         self.pigments = extinction(wavelengths)
         check_number("gain", gain, GAIN)
         dtype = self.pigments.wavelengths.dtype

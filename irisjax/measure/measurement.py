@@ -63,12 +63,12 @@ def wavelengths(start: float, stop: float, step: float) -> np.ndarray:
     """Return a grid from `start` to `stop` inclusive, in equal steps, nm; `ValueError` unless the
     step is positive and divides the range.
     """
-    asked = f"wavelengths({start:g}, {stop:g}, {step:g})"
+    request = f"wavelengths({start:g}, {stop:g}, {step:g})"
     if not np.isfinite([start, stop, step]).all() or step <= 0 or stop < start:
-        raise ValueError(f"{asked}: need start <= stop and step > 0, in nm")
+        raise ValueError(f"{request}: need start <= stop and step > 0, in nm")
     n = round((stop - start) / step)
     if not np.isclose(start + n * step, stop, rtol=0, atol=1e-6 * step):
-        raise ValueError(f"{asked}: the step does not divide the range")
+        raise ValueError(f"{request}: the step does not divide the range")
     return start + step * np.arange(n + 1)
 
 

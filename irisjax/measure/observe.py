@@ -97,8 +97,8 @@ _observe = jax.jit(observed)
 @jax.jit
 def _read(iris, instrument, solver: MonteCarlo, counts: Counts):
     factor, light = instrument.incident()
-    found = solver.summarise(counts, _layers(iris, instrument), light.exits)
-    return instrument.reading(found, factor)
+    solution = solver.summarise(counts, _layers(iris, instrument), light.exits)
+    return instrument.reading(solution, factor)
 
 
 @jax.jit

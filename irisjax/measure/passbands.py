@@ -71,18 +71,18 @@ class Passbands(eqx.Module):
         low, high = common_range()
         # Points of one lattice, so that bands that overlap share them.
         grid = np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step
-        around = np.concatenate([[grid[0] - step], grid, [grid[-1] + step]])
-        apart = (around - centres[:, None]) / widths
+        padded = np.concatenate([[grid[0] - step], grid, [grid[-1] + step]])
+        distance = (padded - centres[:, None]) / widths
         # The integral of a shape times the hat function of a point.
-        each = np.diff(_TWICE_INTEGRATED[shape](apart), n=2)
-        lost = each.sum(1) < _LEAST
+        weights = np.diff(_TWICE_INTEGRATED[shape](distance), n=2)
+        lost = weights.sum(1) < _LEAST
         if lost.any():
             span = f"the pigment tables have {low:g} to {high:g} nm"
             raise ValueError(f"no band about {centres[lost][0]:g} nm: {span}")
-        each = np.maximum(each, 0) / each.sum(1, keepdims=True)
-        near = (each > _LEAST).any(0)
-        grid, each = grid[near], each[:, near]
-        return cls._of(centres, grid, each)
+        weights = np.maximum(weights, 0) / weights.sum(1, keepdims=True)
+        near = (weights > _LEAST).any(0)
+        grid, weights = grid[near], weights[:, near]
+        return cls._of(centres, grid, weights)
 
     @classmethod
     def of(
@@ -100,25 +100,25 @@ class Passbands(eqx.Module):
             ValueError: For sensitivities that are negative or zero throughout.
         """
         check_wavelengths(wavelengths)
-        grid, each = np.asarray(wavelengths, float), np.asarray(sensitivities, float).T
-        if each.ndim != 2 or each.shape[1] != grid.size:
-            raise ValueError(f"sensitivities of shape {each.T.shape} for {grid.size} wavelengths")
-        if not (np.isfinite(each).all() and (each >= 0).all() and each.any(1).all()):
+        grid, curves = np.asarray(wavelengths, float), np.asarray(sensitivities, float).T
+        if curves.ndim != 2 or curves.shape[1] != grid.size:
+            raise ValueError(f"sensitivities of shape {curves.T.shape} for {grid.size} wavelengths")
+        if not (np.isfinite(curves).all() and (curves >= 0).all() and curves.any(1).all()):
             raise ValueError(
                 "sensitivities must be zero or more, and each band somewhere above zero"
             )
         if illuminant is not None:
-            each = each * illuminant_power(illuminant, grid)
-        each = each * np.gradient(grid) if grid.size > 1 else each
-        order = np.argsort((each @ grid) / each.sum(1), kind="stable")
-        each = each[order]
-        seen = each.any(0)
-        return cls._of((each @ grid) / each.sum(1), grid[seen], each[:, seen])
+            curves = curves * illuminant_power(illuminant, grid)
+        curves = curves * np.gradient(grid) if grid.size > 1 else curves
+        order = np.argsort((curves @ grid) / curves.sum(1), kind="stable")
+        curves = curves[order]
+        used = curves.any(0)
+        return cls._of((curves @ grid) / curves.sum(1), grid[used], curves[:, used])
 
     @classmethod
-    def _of(cls, centres: np.ndarray, grid: np.ndarray, each: np.ndarray) -> "Passbands":
+    def _of(cls, centres: np.ndarray, grid: np.ndarray, curves: np.ndarray) -> "Passbands":
         dtype = jnp.result_type(float)
-        shares = each / each.sum(1, keepdims=True)
+        shares = curves / curves.sum(1, keepdims=True)
         return cls(*(jnp.asarray(x, dtype) for x in (centres, grid, shares)))
 
     def mean(self, values: Float[ArrayLike, "*batch wavelengths"]) -> Float[Array, "*batch bands"]:

@@ -112,8 +112,8 @@ class Transmissometer(AbstractInstrument):
 
     def counted(self, solution: Solution) -> tuple[Spectrum, Spectrum | None]:
         if solution.transmitted is None:
-            said = "no light gets behind a black pigment epithelium"
-            raise ValueError(f"{said}: give the iris an ipe_melanin, ug/mm2 (--ipe-melanin)")
+            message = "no light gets behind a black pigment epithelium"
+            raise ValueError(f"{message}: give the iris an ipe_melanin, ug/mm2 (--ipe-melanin)")
         return solution.transmitted, solution.transmitted_error
 
     def reading(self, solution: Solution, factor: Scalar) -> Reading:
@@ -188,8 +188,8 @@ class Goniophotometer(AbstractInstrument):
         **settings: Unpack[InstrumentSettings],
     ):
         if isinstance(settings.get("cos_incidence"), str) or isinstance(cos_exit, str):
-            said = "cos_incidence and cos_exit must be numbers in [0, 1]"
-            raise ValueError(f"a BRDF needs directions: {said}")
+            message = "cos_incidence and cos_exit must be numbers in [0, 1]"
+            raise ValueError(f"a BRDF needs directions: {message}")
         super().__init__(wavelengths, **settings)
         if self.cornea != "none":
             raise ValueError(f"a BRDF is that of the bare iris: cornea = {self.cornea!r}")
@@ -199,8 +199,8 @@ class Goniophotometer(AbstractInstrument):
             raise ValueError(f"exits must be a list of directions, got shapes {shapes}")
         sizes = {shape[0] for shape in shapes if shape} - {1}
         if len(sizes) > 1:
-            said = "must be one number or one for each exit, got shapes"
-            raise ValueError(f"cos_exit and azimuth {said} {shapes[0]} and {shapes[1]}")
+            message = "must be one number or one for each exit, got shapes"
+            raise ValueError(f"cos_exit and azimuth {message} {shapes[0]} and {shapes[1]}")
         exits = (jnp.atleast_1d(jnp.asarray(x, dtype)) for x in (cos_exit, azimuth))
         self.cos_exit, self.azimuth = jnp.broadcast_arrays(*exits)
 

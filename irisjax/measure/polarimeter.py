@@ -54,8 +54,8 @@ class PolarisedInstrument(AbstractInstrument):
         **settings: Unpack[InstrumentSettings],
     ):
         if isinstance(settings.get("cos_incidence"), str):
-            said = "cos_incidence must be a number in [0, 1]"
-            raise ValueError(f"polarised light comes from one direction: {said}")
+            message = "cos_incidence must be a number in [0, 1]"
+            raise ValueError(f"polarised light comes from one direction: {message}")
         super().__init__(wavelengths, **settings)
         if self.cornea != "none":
             raise ValueError(f"polarised light is that on the bare iris: cornea = {self.cornea!r}")
@@ -89,12 +89,12 @@ class PolarisedInstrument(AbstractInstrument):
 
     def matrix(self, solution: Solution) -> Float[Array, "n 4 4"]:
         """Mueller matrix of reflectance factors at n wavelengths."""
-        found = solution.polarisation
-        assert isinstance(found, Polarisation)
+        result = solution.polarisation
+        assert isinstance(result, Polarisation)
         if self.cos_exit is None:
-            return found.reflected + found.mirrored if self.first_surface else found.reflected
-        assert found.brdf is not None
-        return jnp.pi * found.brdf[:, 0]
+            return result.reflected + result.mirrored if self.first_surface else result.reflected
+        assert result.brdf is not None
+        return jnp.pi * result.brdf[:, 0]
 
 
 class Analyser(PolarisedInstrument):
