@@ -137,18 +137,15 @@ def sample(
     check_run(target, store, walkers=walkers, resume=resume, key=key)
     storage, log_density = Store(store), target.log_density
     report = progress or (lambda steps, word: None)
-    if storage.start is None:
-        storage.begin(_initial_ensemble(target, start, walkers, key, report))
+    chain = storage.start
+    if chain is None:
+        chain = storage.begin(_initial_ensemble(target, start, walkers, key, report))
+    for steps in _BURN_IN[chain.number :]:
+        _advance(storage, chain, steps, log_density, key, report, "burn-in")
+        chain = _replace(storage, chain, storage.rows(steps // 2, steps)[0])
     while True:
-        chain = storage.start
-        assert chain is not None
-        if chain.number < len(_BURN_IN):
-            most = _BURN_IN[chain.number]
-            _advance(storage, chain, most, log_density, key, report, "burn-in")
-            _replace(storage, chain, storage.rows(most // 2, most)[0])
-            continue
-        most = min(storage.planned or _FIRST_LOOK, max_steps)
-        _advance(storage, chain, most, log_density, key, report, "sampling")
+        steps = min(storage.planned or _FIRST_LOOK, max_steps)
+        _advance(storage, chain, steps, log_density, key, report, "sampling")
         chains = diagnose(storage)
         if chains.converged or chains.steps >= max_steps:
             break
@@ -158,8 +155,8 @@ def sample(
         replaced = chain.number - len(_BURN_IN)
         patience = _PATIENCE * 2**replaced
         if replaced < _REPLACED and (chains.steps >= patience or needed > patience):
-            every = -(-chains.steps * walkers // _ADAPTED_TO)
-            _replace(storage, chain, storage.rows(every - 1, chains.steps, every)[0])
+            stride = -(-chains.steps * walkers // _ADAPTED_TO)
+            chain = _replace(storage, chain, storage.rows(stride - 1, chains.steps, stride)[0])
     if throw and not chains.converged:
         raise ValueError(chains.reason)
     return chains
@@ -300,8 +297,8 @@ def _advance(
         store.save()
 
 
-def _replace(store: Store, start: ChainStart, samples: np.ndarray) -> None:
-    """Start again from the walkers' places, with proposals adapted to samples."""
+def _replace(store: Store, start: ChainStart, samples: np.ndarray) -> ChainStart:
+    """Start a new chain from the walkers' places, with proposals adapted to samples."""
     number, before = start.number + 1, start.steps_before + store.steps
     adapted_to = samples.reshape(-1, samples.shape[-1])
-    store.begin(ChainStart(start.owner, number, before, *store.last(), adapted_to))
+    return store.begin(ChainStart(start.owner, number, before, *store.last(), adapted_to))

@@ -56,10 +56,11 @@ class Store:
         """Number of steps."""
         return len(self._places)
 
-    def begin(self, start: ChainStart) -> None:
-        """Replace the chain by one without steps."""
+    def begin(self, start: ChainStart) -> ChainStart:
+        """Replace the chain by one without steps, from this start, which is returned."""
         self.start, self.planned, self._places, self._log_density = start, 0, [], []
         self.save()
+        return start
 
     def append(
         self, places: Float[np.ndarray, "walkers free"], log_density: Float[np.ndarray, " walkers"]
