@@ -171,7 +171,7 @@ def _one_wavelength(
         brdf = total * leave.abl.passed * rays.to_brdf
     direct = jnp.tile(absorbed[count:], 2) @ radiance
     stroma = direct + jnp.tile(absorbed[:count], 2) @ inward
-    flux = with_scattered(unscattered, power, nodes, profile.abl, up, down, stroma)
+    flux = with_scattered(unscattered.total(power), nodes, profile.abl, up, down, stroma)
     return flux._replace(brdf=brdf)
 
 

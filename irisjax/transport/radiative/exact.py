@@ -112,8 +112,8 @@ def _one_wavelength(
     bounded = slab.bounded(everywhere.cosine, *boundaries(upper, everywhere))
     angle, beam, *exit_ = split_sets(bounded, nodes, beams, exits)
     upper, _, *upper_exit = split_sets(upper, nodes, beams, exits)
-    fates = jax.tree.map(lambda x: x[None], unscattered_beam(abl, depth, beams))
-    entering = rays.power[None] * fates.entered / beams.cosine[None]
+    fates = unscattered_beam(abl, depth, beams)
+    entering = (rays.power * fates.entered / beams.cosine)[None]
 
     def equations(mode: Mode):
         """Strengths of a mode, the system of its moments, and its right-hand side."""
@@ -133,7 +133,9 @@ def _one_wavelength(
     strength, system, driving = equations(MODES[0])
     source = strength[:, None] * MODES[0].functions(nodes.cosine)
     equation, directions = (source, system, driving[..., None]), (angle, nodes, upper)
-    moments, flux = conserving_order(slab, coalbedo, *equation, *directions, fates, rays.power)
+    moments, flux = conserving_order(
+        slab, coalbedo, *equation, *directions, fates.total(rays.power)
+    )
     if exits is None:
         return flux
     total = leaving(MODES[0], strength, moments[..., 0])

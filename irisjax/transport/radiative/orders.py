@@ -48,6 +48,10 @@ class Beam(NamedTuple):
     entered: jax.Array
     behind: jax.Array | None
 
+    def total(self, power: jax.Array) -> "Beam":
+        """Fates of all the light, of which each beam has this share of the `power`."""
+        return jax.tree.map(lambda x: x @ power, self)
+
 
 class AngularProfile(NamedTuple):
     """Fate of unscattered light along directions in the stroma, shape (angles,).
@@ -107,19 +111,12 @@ def angular_profile(abl: jax.Array, depth: jax.Array, d: Ordinates) -> AngularPr
 
 
 def with_scattered(
-    beam: Beam,
-    power: jax.Array,
-    nodes: Ordinates,
-    upper: Absorber,
-    up: jax.Array,
-    down: jax.Array,
-    stroma: jax.Array,
+    beam: Beam, nodes: Ordinates, upper: Absorber, up: jax.Array, down: jax.Array, stroma: jax.Array
 ) -> Flux:
     """Sum the fates of unscattered and of scattered light.
 
     Args:
-        beam: Fates of the beams before scattering.
-        power: Shares of the light in each beam.
+        beam: Fates of all the light before scattering, from `Beam.total`.
         nodes: Directions of the scattered light.
         upper: Shares of the ABL along the nodes, from the stroma.
         up: Radiance of scattered light at the stroma's top, along the nodes.
@@ -129,13 +126,13 @@ def with_scattered(
     flux = nodes.weight * nodes.cosine
     into_ipe, behind = down * nodes.bottom[1], None
     if nodes.through is not None and beam.behind is not None:
-        behind = power @ beam.behind + flux @ (into_ipe * nodes.through)
+        behind = beam.behind + flux @ (into_ipe * nodes.through)
     return Flux(
-        reflectance=power @ beam.reflected + flux @ (up * upper.passed),
-        mirrored=power @ beam.mirrored,
-        abl=power @ beam.abl + flux @ (up * upper.absorbed),
+        reflectance=beam.reflected + flux @ (up * upper.passed),
+        mirrored=beam.mirrored,
+        abl=beam.abl + flux @ (up * upper.absorbed),
         stroma=stroma,
-        ipe=power @ beam.passed + flux @ into_ipe,
+        ipe=beam.passed + flux @ into_ipe,
         behind=behind,
     )
 
@@ -150,12 +147,12 @@ def conserving_order(
     nodes: Ordinates,
     upper: Absorber,
     beam: Beam,
-    power: jax.Array,
 ) -> tuple[jax.Array, Flux]:
     """The moments of the one order in azimuth that carries energy, of shape `right`: (terms,
-    moments, beams); and where the mean of the beams goes, `beam` with these shares of its `power`.
+    moments, columns); and the fate of the light, the mean of the columns.
 
-    `source`: strength times function of each term (terms, angles).
+    `source`: strength times function of each term (terms, angles); `beam`: of all the light before
+    scattering, one value or one a column.
     """
     top, bottom = slab.leaving_each(angle, 1)
     flux = nodes.weight * nodes.cosine
@@ -164,12 +161,12 @@ def conserving_order(
     sink = (source * flux[None]) @ loss.T
     balance = sink.at[0, :: slab.n_depths].add(coalbedo * slab.widths).ravel()
     columns = right.reshape(balance.size, -1)
-    moments = slab.solve(system, columns, balance, beam.lost @ power).reshape(right.shape)
+    moments = slab.solve(system, columns, balance, beam.lost).reshape(right.shape)
     mean = moments.mean(-1)
     up, down = slab.leaving(angle, source.T @ mean, 1)
     stroma = coalbedo * slab.total(mean[0])
-    beam = jax.tree.map(lambda x: x.mean(0), beam)
-    return moments, with_scattered(beam, power, nodes, upper, up, down, stroma)
+    beam = jax.tree.map(jnp.mean, beam)
+    return moments, with_scattered(beam, nodes, upper, up, down, stroma)
 
 
 def single_scattering(

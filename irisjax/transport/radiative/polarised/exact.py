@@ -88,7 +88,7 @@ def _one_wavelength(
         strengths[0][:, None] * modes[0].linear(nodes.p.cosine).reshape(strengths[0].size, -1),
         _system(slab, modes[0], strengths[0], angle, nodes),
         _driving(slab, modes[0], beam, beams, entering, None),
-        *(angle.linear, join_sets(nodes.p, nodes.s), angle.upper, fates, rays.power),
+        *(angle.linear, join_sets(nodes.p, nodes.s), angle.upper, fates.total(rays.power)),
     )
     if not matrices:
         return flux, None
