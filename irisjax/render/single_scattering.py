@@ -24,6 +24,7 @@ from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import check_whole
 from irisjax.numerics.chunks import pixelwise
+from irisjax.numerics.fusion import materialise
 from irisjax.numerics.interpolation import chebyshev_nodes, polar_bilinear
 from irisjax.optics.conicoid import from_parts, norm
 from irisjax.optics.phase import rayleigh
@@ -252,13 +253,14 @@ def _marched(
 
     def march(carry, k):
         clear, radiance = carry
-        local = data.at(point + along * ((k + 0.5) * step))
+        local = materialise(data.at(point + along * ((k + 0.5) * step)))
         abl_end, end = iris.ends(local)
         top, bottom = k * step, (k + 1) * step
         abl, stroma, scattering = iris.scaled(local)
         in_abl = _passed(bottom, 0.0, abl_end) - _passed(top, 0.0, abl_end)
         above = _passed(top, abl_end, end)
         inside = _passed(bottom, abl_end, end) - above
+        in_abl, above, inside = materialise((in_abl, above, inside))
         clear = clear * jnp.exp(-abl * (in_abl * slant))
         crossed, light_depth = stroma * inside, abl + stroma * above
 
