@@ -34,7 +34,7 @@ def focal_px(exif: Mapping[str, float], shape: tuple[int, int], notes: list[str]
         notes: Gets sentences on how the focal length was found.
     """
     tags = defaultdict(float, {k: v for k, v in exif.items() if math.isfinite(v)})
-    extent, scale = _taken(tags, shape, notes)
+    extent, scale = _exposed_size(tags, shape, notes)
     by_film = tags["FocalLengthIn35mmFilm"] / _DIAGONAL * math.hypot(*extent) * scale
     per_mm = _PER_MM.get(int(tags.get("FocalPlaneResolutionUnit", 2)), 0.0)
     by_plane = tags["FocalLength"] * tags["FocalPlaneXResolution"] * per_mm * scale
@@ -54,7 +54,7 @@ def focal_px(exif: Mapping[str, float], shape: tuple[int, int], notes: list[str]
     return value
 
 
-def _taken(
+def _exposed_size(
     tags: Mapping[str, float], shape: tuple[int, int], notes: list[str]
 ) -> tuple[list[int], float]:
     """Return the sides of the picture as it was taken, pixels, and its scale since then."""

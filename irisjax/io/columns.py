@@ -123,21 +123,21 @@ def select(
     if among is not None:
         spectra = among
     elif column is not None:
-        spectra = _named(table, column, roles)
+        spectra = _lookup(table, column, roles)
     else:
         spectra = _spectra(table, roles, requested)
     role, explicit = roles[spectra[0]], among is not None or column is not None
     if explicit and not requested and role not in _WITHOUT_ASKING:
         raise ValueError(_refusal(table, spectra[0], role))
-    sds = _deviations_of(spectra, table, roles) if sd is None else _named(table, sd, roles)[:1]
+    sds = _deviations_of(spectra, table, roles) if sd is None else _lookup(table, sd, roles)[:1]
     if len(sds) > 1 and among is None:
-        raise ValueError(f"{_listed(table, roles)}: two standard deviations; choose with --sd NAME")
+        raise ValueError(f"{_legend(table, roles)}: two standard deviations; choose with --sd NAME")
     deviation = sds[0] if len(sds) == 1 else None
     indices = [*spectra, *sds]
     left = [j for j in roles if j not in indices]
     notes: tuple[str, ...] = ()
     if left and among is None:
-        notes = (f"of the columns {_quoted(table, indices)} used, {_quoted(table, left)} left out",)
+        notes = (f"of the columns {_titles(table, indices)} used, {_titles(table, left)} left out",)
     role = role if role in QUANTITIES else ""
     return Selection(spectra, deviation, role, table.names[spectra[0]], notes)
 
@@ -169,17 +169,17 @@ def _spectra(table: Columns, roles: dict[int, str], requested: str | None) -> li
         raise ValueError(_refusal(table, j, others[j]))
     raw = [j for j in others if others[j] in _RAW]
     if role in ("", _MEAN) and raw and not requested:
-        text = f"{_listed(table, roles)}: beside {table.names[raw[0]]!r} the others may be counts"
+        text = f"{_legend(table, roles)}: beside {table.names[raw[0]]!r} the others may be counts"
         raise ValueError(f"{text}; choose the reflectance with --column NAME")
     spectra = [j for j in others if role is None or others[j] == role]
     if not spectra:
-        raise ValueError(f"{_listed(table, roles)}; need one spectrum, such as a reflectance")
+        raise ValueError(f"{_legend(table, roles)}; need one spectrum, such as a reflectance")
     stated = [_owner(j, spectra, table) for j in roles if roles[j] == SD and len(spectra) > 1]
     paired = len(set(stated) & set(spectra)) > 1  # each has its standard deviation
     paired |= table.samples is not None and len({table.names[j] for j in spectra}) > 1
     if len(spectra) > 1 and (paired or not _one_thing(table, spectra)):
         raise ValueError(
-            f"{_listed(table, roles)}: these are no scans of one spectrum, whose names would "
+            f"{_legend(table, roles)}: these are no scans of one spectrum, whose names would "
             "differ in a number only, or whose values by noise; choose with --column NAME"
         )
     return spectra
@@ -218,7 +218,7 @@ def _one_thing(table: Columns, columns: list[int]) -> bool:
         return False
     values = table.values[:, columns]
     values = values[np.isfinite(values).all(1)]
-    if names != {""} and (len(names) == 1 or _numbered(names)):
+    if names != {""} and (len(names) == 1 or _differ_in_number(names)):
         middle = np.median(values, axis=0) if len(values) else np.ones(1)
         return bool(np.ptp(middle) <= _APART * np.abs(np.median(middle)))
     if not len(values):
@@ -235,7 +235,7 @@ def _one_thing(table: Columns, columns: list[int]) -> bool:
     return bool((spread <= np.maximum(2 * noise.max(), 1e-9 * size)).all())
 
 
-def _numbered(names: set[str]) -> bool:
+def _differ_in_number(names: set[str]) -> bool:
     """Whether names differ in numbers only, none of them that of an eye or with a unit."""
     parts = [re.split(r"(\d+)", name) for name in names]
     if len({tuple(re.sub(r"[\W_]+", " ", p).lower() for p in x[::2]) for x in parts}) > 1:
@@ -247,7 +247,7 @@ def _numbered(names: set[str]) -> bool:
     return True
 
 
-def _named(table: Columns, title: str, roles: dict[int, str]) -> list[int]:
+def _lookup(table: Columns, title: str, roles: dict[int, str]) -> list[int]:
     """The columns of this name, or of the only one that contains it."""
     names = {j: _title(table, j) for j in roles}
     begins, part = f"{title} ".lower(), title.lower()
@@ -260,7 +260,7 @@ def _named(table: Columns, title: str, roles: dict[int, str]) -> list[int]:
         if len({names[j] for j in columns}) == 1:
             return columns
     number = "no column" if not columns else "more than one column"
-    raise ValueError(f"{number} is called {title!r}: {_listed(table, roles)}")
+    raise ValueError(f"{number} is called {title!r}: {_legend(table, roles)}")
 
 
 def _refusal(table: Columns, j: int, role: str) -> str:
@@ -268,12 +268,12 @@ def _refusal(table: Columns, j: int, role: str) -> str:
     return f"column {table.names[j]!r} holds {message}"
 
 
-def _listed(table: Columns, roles: dict[int, str]) -> str:
+def _legend(table: Columns, roles: dict[int, str]) -> str:
     titles = (f"{_title(table, j)!r} ({roles[j] or 'no role'})" for j in roles)
     return f"columns {', '.join(titles)}"
 
 
-def _quoted(table: Columns, columns: list[int]) -> str:
+def _titles(table: Columns, columns: list[int]) -> str:
     titles = [repr(_title(table, j)) for j in columns]
     return ", ".join(titles[:8] + ["..."] * (len(titles) > 8))
 

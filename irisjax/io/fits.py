@@ -96,8 +96,8 @@ def read_fits(path: Path, status: Iterable[str] = ("ok",)) -> FittedEyes:
         message = f"{path}: {len(eyes)} of {len(rows)} eyes can be used; a group needs two or more"
         raise ValueError(f"{message} with status {' or '.join(status)}")
     with naming(path):
-        priors = _same("priors", [{r["parameter"]: r["prior"] for r in stored[n]} for n in eyes])
-        process = _same("processes", [row.get("process", "") for row in eyes.values()])
+        priors = _common("priors", [{r["parameter"]: r["prior"] for r in stored[n]} for n in eyes])
+        process = _common("processes", [row.get("process", "") for row in eyes.values()])
         values = _numbers(eyes.values(), list(priors))
         _numbers(eyes.values(), [f"{name}_sd" for name in priors])
     with naming(beside):
@@ -123,14 +123,14 @@ def read_fits(path: Path, status: Iterable[str] = ("ok",)) -> FittedEyes:
         if reach:
             draws = np.stack([np.stack([x[n] for n in free], 1) for x in map(np.load, wide)])
         else:
-            draws = np.stack([_drawn(path.parent / name / "posterior.nc", free) for name in eyes])
+            draws = np.stack([_draws(path.parent / name / "posterior.nc", free) for name in eyes])
     return FittedEyes(
         tuple(eyes), free, values[:, cols], z[:, cols], covariance[:, cols][:, :, cols], process,
         left, draws, WIDTH if reach else 1.0,
     )  # fmt: skip
 
 
-def _drawn(path: Path, priors: Mapping[str, AbstractPrior]) -> np.ndarray:
+def _draws(path: Path, priors: Mapping[str, AbstractPrior]) -> np.ndarray:
     """Read draws from a posterior's file, spread evenly over its walkers and steps."""
     import h5netcdf
 
@@ -167,7 +167,7 @@ def _numbers(rows: Iterable[Mapping[str, str]], columns: Sequence[str]) -> np.nd
     return np.reshape(numbers, (-1, len(columns)))
 
 
-def _same(quantity, values):
+def _common(quantity, values):
     if any(one != values[0] for one in values):
         raise ValueError(f"its eyes were fitted with different {quantity}; fit them in one batch")
     return values[0]

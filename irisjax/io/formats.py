@@ -170,7 +170,7 @@ def _long(titles: list[str], rows: list[tuple[int, list[str]]]) -> Columns | Non
         named = [j for j in labels if LABEL.search(titles[j]) or any(map(role_of, columns[j]))]
         labels = named or [j for j in labels if len(set(columns[j])) == 1]
     parts = [j for j in labels if not _REPEAT.search(titles[j])]
-    parts = [j for j in parts if len(set(columns[j])) > 1 or _tells(columns[j][0])] or parts[:1]
+    parts = [j for j in parts if len(set(columns[j])) > 1 or _is_role(columns[j][0])] or parts[:1]
     groups: dict[tuple[str, ...], list[int]] = {}
     for i, (_, cells) in enumerate(rows):
         groups.setdefault(tuple(cells[j] for j in labels), []).append(i)
@@ -181,10 +181,10 @@ def _long(titles: list[str], rows: list[tuple[int, list[str]]]) -> Columns | Non
             # A deviation belongs to the first values.
             value = f"{names[1]} " if j != used[1] and role_of(name) == SD else ""
             spectra.append((f"{of} {value}{name}".strip(), numbers[wave][own], numbers[j][own]))
-    return _joined(names[0], spectra)._replace(samples=names[1])
+    return _join(names[0], spectra)._replace(samples=names[1])
 
 
-def _tells(cell: str) -> bool:
+def _is_role(cell: str) -> bool:
     """Whether a text says what the values are."""
     return bool(role_of(cell)) or "%" in cell
 
@@ -206,7 +206,7 @@ def _with_wavelengths_first(table: Columns) -> Columns:
         return table._replace(values=table.values[:, order], names=[table.names[j] for j in order])
     own = {j: max((k for k in named if k < j), default=named[0]) for j in others}
     spectra = [(table.names[j], table.values[:, own[j]], table.values[:, j]) for j in others]
-    return _joined(table.names[named[0]], spectra)._replace(header=table.header, notes=table.notes)
+    return _join(table.names[named[0]], spectra)._replace(header=table.header, notes=table.notes)
 
 
 def _jaz(table: Columns) -> Columns:
@@ -217,7 +217,7 @@ def _jaz(table: Columns) -> Columns:
     return table._replace(names=[names[name] for name in table.names])
 
 
-def _joined(name: str, spectra: list[tuple[str, np.ndarray, np.ndarray]]) -> Columns:
+def _join(name: str, spectra: list[tuple[str, np.ndarray, np.ndarray]]) -> Columns:
     """One table of spectra that each have their wavelengths."""
     present = [np.isfinite(x) for _, x, _ in spectra]
     grid = np.unique(np.concatenate([x[k] for (_, x, _), k in zip(spectra, present, strict=True)]))
@@ -363,7 +363,7 @@ def _jcamp(text: str) -> Columns:
     titles = {name.partition(": ")[0] for name, _, _ in spectra}
     if len(titles) == 1:  # which says nothing, and might be mistaken for a quantity
         spectra = [(name.partition(": ")[2], x, y) for name, x, y in spectra]
-    table = _joined(f"wavelength ({units.pop()})", spectra)
+    table = _join(f"wavelength ({units.pop()})", spectra)
     return table._replace(notes=tuple(notes))
 
 
@@ -395,7 +395,7 @@ def _jcamp_block(lines: list[str]) -> tuple[dict[str, Any], str]:
 
     printed = io.StringIO()
     # A value and how often it is there: the parser knows numbers of one digit, after a difference.
-    lines = [x if x.startswith("##") else _REPEATED.sub(_repeated, x) for x in lines]
+    lines = [x if x.startswith("##") else _REPEATED.sub(_repeat, x) for x in lines]
     try:
         with contextlib.redirect_stdout(printed):
             fields = jcamp.read(lines)
@@ -407,5 +407,5 @@ def _jcamp_block(lines: list[str]) -> tuple[dict[str, Any], str]:
     return fields, message
 
 
-def _repeated(match: re.Match[str]) -> str:
+def _repeat(match: re.Match[str]) -> str:
     return match[1] * int(f"{'STUVWXYZs'.index(match[2]) + 1}{match[3]}")

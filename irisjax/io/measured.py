@@ -334,7 +334,7 @@ def _reflectance_of(values: np.ndarray, quantity: str) -> tuple[np.ndarray, np.n
 
 def _doubts(x: np.ndarray, reflectance: np.ndarray) -> tuple[str, ...]:
     """Doubts where a value is far from its neighbours, or the largest is not that of an iris."""
-    wild = _wild(reflectance)
+    wild = _outliers(reflectance)
     doubts = []
     if (negative := (reflectance < 0).mean()) > _NEGATIVE:
         doubts.append(f"{100 * negative:.0f} % of the reflectances are negative: dark signal?")
@@ -355,7 +355,7 @@ def _doubts(x: np.ndarray, reflectance: np.ndarray) -> tuple[str, ...]:
     return tuple(doubts)
 
 
-def _wild(values: np.ndarray) -> np.ndarray:
+def _outliers(values: np.ndarray) -> np.ndarray:
     """Rows where a scan is twice the largest or half the smallest of its four neighbours, and much
     further from them than its other values are.
     """

@@ -27,7 +27,7 @@ def check_movie(path: str | Path) -> None:
         if suffix == ".mp4" and importlib.util.find_spec("av") is None:
             raise ValueError("MP4 needs PyAV: pip install 'irisjax[video]'")
         if suffix == ".png":
-            _numbered(Path(path), 0)
+            _frame_path(Path(path), 0)
     check_writable(path)
 
 
@@ -35,7 +35,7 @@ def first_file(path: str | Path) -> Path:
     """The first file that a picture or a movie of this name writes."""
     path = Path(path)
     numbered = path.suffix.lower() == ".png" and "%" in path.name
-    return _numbered(path, 0) if numbered else path
+    return _frame_path(path, 0) if numbered else path
 
 
 def write_movie(path: str | Path, frames: Iterable[Any], *, remark: str = "") -> int:
@@ -113,7 +113,7 @@ def _mp4(path: Path, frames: Iterator[np.ndarray], remark: str) -> dict[Path, by
 def _pngs(path: Path, frames: Iterator[np.ndarray], remark: str) -> dict[Path, bytes]:
     # Values of 8 bits pass a PNG unchanged.
     return {
-        _numbered(path, number): encode_png(path, steps / 255, remark=remark)[0]
+        _frame_path(path, number): encode_png(path, steps / 255, remark=remark)[0]
         for number, steps in enumerate(frames)
     }
 
@@ -121,7 +121,7 @@ def _pngs(path: Path, frames: Iterator[np.ndarray], remark: str) -> dict[Path, b
 _WRITERS = {".gif": _gif, ".mp4": _mp4, ".png": _pngs}
 
 
-def _numbered(path: Path, number: int) -> Path:
+def _frame_path(path: Path, number: int) -> Path:
     if len(_NUMBER.findall(path.name)) != 1 or path.name.count("%") != 1:
         message = "the name of numbered frames holds one number, such as frame_%03d.png"
         raise ValueError(f"{path}: {message}")

@@ -92,7 +92,7 @@ def _of_clone(folder: Path) -> Target:
     pixels = read_image(folder / UNREFRACTED_PICTURE, decode=True).pixels
     shown = read_image(folder / VISIBLE_MASK).pixels[..., 0]
     inner, outer = (float(summary[name]) for name in names)
-    return _unrolled(folder.resolve().name, pixels, shown > 0.5, inner, outer)
+    return _unroll(folder.resolve().name, pixels, shown > 0.5, inner, outer)
 
 
 def _of_scene(path: Path) -> Target:
@@ -122,12 +122,10 @@ def _of_picture(path: Path, pupil: float) -> Target:
     shown = np.ones((rows, columns), bool)
     if "A" in image.channels:
         shown = image.pixels[..., image.channels.index("A")] > 0.5
-    return _unrolled(path.name, pixels, shown, HALF_WIDTH * pupil, HALF_WIDTH)
+    return _unroll(path.name, pixels, shown, HALF_WIDTH * pupil, HALF_WIDTH)
 
 
-def _unrolled(
-    name: str, pixels: np.ndarray, shown: np.ndarray, inner: float, outer: float
-) -> Target:
+def _unroll(name: str, pixels: np.ndarray, shown: np.ndarray, inner: float, outer: float) -> Target:
     """Mean visible colours of polar cells; radii in mm, the picture 2 `HALF_WIDTH` wide."""
     share = to_polar(shown.astype(float), inner, outer, TEXTURE_SHAPE)
     known = share > _WHOLE

@@ -113,7 +113,7 @@ def read_columns(text: str) -> Columns:
     lines = [(number, line) for number, line in every if not line.lstrip().startswith("#")]
     values, names, where, notes = _rows_of_spectra(lines) or _rows_of_numbers(lines)
     if not any(names) or "Column 1:" in text:
-        names = _names_said(text, every, where, len(names)) or names
+        names = _stated_names(text, every, where, len(names)) or names
     return Columns(values, names, where, header, notes)
 
 
@@ -154,10 +154,10 @@ def _rows_of_numbers(lines: _Lines) -> _Rows:
         above[-1].insert(0, "")  # R's names of rows have no title
     names = with_units(_names(above, width), units)
     columns = [j for j in range(width) if names[j] or np.isfinite(table[:, j]).any()]
-    return table[:, columns], [names[j] for j in columns], where, _left_out(below)
+    return table[:, columns], [names[j] for j in columns], where, _note_of(below)
 
 
-def _left_out(below: _Lines) -> tuple[str, ...]:
+def _note_of(below: _Lines) -> tuple[str, ...]:
     if not below:
         return ()
     number = len(below)
@@ -214,7 +214,7 @@ def _pairs(names: list[str]) -> bool:
     return len(names) > 3 and len(names) % 2 == 0 and len(set(names[::2])) == 1
 
 
-def _names_said(text: str, rows: _Lines, where: list[str], width: int) -> list[str] | None:
+def _stated_names(text: str, rows: _Lines, where: list[str], width: int) -> list[str] | None:
     """Names of unnamed columns: those of a comment right above the numbers, or units stated in the
     preamble.
     """
@@ -257,7 +257,7 @@ def _rows_of_spectra(lines: _Lines) -> _Rows | None:
         for number, cells in [(n, cells_of(line, separator)) for n, line in below]:
             if len(cells) >= len(titles):
                 raise ValueError(f"line {number}: not a number for each wavelength")
-        return (*_spectra_of(titles, groups, rows), _left_out(below))
+        return (*_spectra_of(titles, groups, rows), _note_of(below))
     return None
 
 

@@ -62,11 +62,11 @@ def observed(
     iris: Iris, instrument: AbstractInstrument, solver: AbstractSolver, key: PRNGKey | None = None
 ) -> Any:
     """Read an iris in a traced function: without checks, preparation and exceptions."""
-    return call_with_layout(_traced, instrument.wavelengths, iris, instrument, solver, key)
+    return call_with_layout(_trace, instrument.wavelengths, iris, instrument, solver, key)
 
 
 @full_precision
-def _traced(iris, instrument, solver, key):
+def _trace(iris, instrument, solver, key):
     factor, light = instrument.incident()
     layers = iris.layers(instrument.pigments, instrument.media.aqueous)
     return instrument.reading(solver.solve(layers, light, key=key), factor)
