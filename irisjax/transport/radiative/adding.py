@@ -32,7 +32,7 @@ from irisjax.transport.radiative.directions import (
     gauss_nodes,
     over_epithelium,
 )
-from irisjax.transport.radiative.doubling import Lines, Medium, Response, doubled_from
+from irisjax.transport.radiative.doubling import Lines, Medium, Response, slab_response
 from irisjax.transport.radiative.expansion import phase_matrices, series_value
 from irisjax.transport.radiative.orders import (
     AngularProfile,
@@ -149,7 +149,7 @@ def _one_wavelength(
     matrices = phase_matrices(phase, moments, peak, orders, lines)
 
     def solve_order(pair):
-        slab = doubled_from(Medium(depth, albedo, coalbedo, *pair), lines, doublings)
+        slab = slab_response(Medium(depth, albedo, coalbedo, *pair), lines, doublings)
         return slab.absorbed, _between(slab, radiance, profile, nodes, depth)
 
     # One order after another: side by side they would fill the memory.
@@ -182,11 +182,11 @@ def _between(slab: Response, radiance, profile: AngularProfile, nodes: Ordinates
     boundaries send back in (2·nodes,); and that which the slab itself sends along its rows to the
     top and to the bottom (2, rows).
     """
-    n = nodes.cosine.size
+    n, (r, t, _) = nodes.cosine.size, slab
     upper, lower = (share[0] for share in boundaries(profile.abl, nodes))
     through = survival(depth, nodes.cosine)
     # Rows: to the top, to the bottom. Columns: from above, from below.
-    blocks = jnp.stack([slab.back, slab.on]), jnp.stack([slab.on, slab.back])
+    blocks = jnp.stack([r, t]), jnp.stack([t, r])
     from_beams = jnp.concatenate([x[..., n:] for x in blocks], axis=-1) @ radiance
     operator = jnp.concatenate([x[..., :n] for x in blocks], axis=-1)
     # Unscattered from end to end, back and forth, light keeps its direction.

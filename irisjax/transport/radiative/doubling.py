@@ -17,12 +17,12 @@ from irisjax.transport.radiative.slab import mean_absence, mean_survival
 
 
 class Response(NamedTuple):
-    """Response of a slab to radiance 1 along each column: scattered radiance back and on, shape
-    (rows, columns), and the flux absorbed (columns,).
+    """Response of a slab to radiance 1 along each column: scattered radiance that is reflected and
+    transmitted, shape (rows, columns), and the flux absorbed (columns,).
     """
 
-    back: jax.Array
-    on: jax.Array
+    reflected: jax.Array
+    transmitted: jax.Array
     absorbed: jax.Array
 
 
@@ -49,7 +49,7 @@ class Medium(NamedTuple):
     opposite: jax.Array
 
 
-def doubled_from(medium: Medium, lines: Lines, doublings: int) -> Response:
+def slab_response(medium: Medium, lines: Lines, doublings: int) -> Response:
     """`Response` of a slab, doubled from 2^−doublings of its depth.
 
     The first layer's error goes as the square of its depth; two halves of it take it away to the
@@ -61,7 +61,7 @@ def doubled_from(medium: Medium, lines: Lines, doublings: int) -> Response:
 
     def step(state, first):
         response, depth = state
-        response = doubled(response, depth, lines)
+        response = double(response, depth, lines)
         third = jnp.where(first, 1 / 3, 0.0).astype(depth.dtype)
         response = jax.tree.map(lambda f, c: f + third * (f - c), response, coarse)
         return (response, 2 * depth), None
@@ -77,20 +77,20 @@ def thin(medium: Medium, lines: Lines) -> Response:
     n, identity = lines.nodes, jnp.eye(lines.nodes, dtype=medium.depth.dtype)
     depth, rows, columns = medium.depth, lines.rows[:, None], lines.columns[None]
     factor = 0.5 * medium.albedo * lines.weight[None]
-    on, back = factor * medium.same, factor * medium.opposite
+    t, r = factor * medium.same, factor * medium.opposite
     mean, absence = mean_survival(depth / columns), mean_absence(depth / lines.rows[:n])
     # Of sources that fade along each column, in the mean over the depth: what leaves along a row.
     up = mean_survival(depth * (1 / rows + 1 / columns))
     down = survival(depth, jnp.maximum(rows, columns))
     down = down * mean_survival(depth * jnp.abs(1 / rows - 1 / columns))
-    stays_on, stays_back = (on * (mean - down))[:n], (back * (mean - up))[:n]
+    inside_t, inside_r = (t * (mean - down))[:n], (r * (mean - up))[:n]
 
     def later(sign):
         """Compute the sum (sign 1) or the difference (sign −1) of light down and up: sources after
         one or more scatterings, and the mean over the depth of all scattered light inside.
         """
-        kernel = on[:, :n] + sign * back[:, :n]
-        single = stays_on + sign * stays_back
+        kernel = t[:, :n] + sign * r[:, :n]
+        single = inside_t + sign * inside_r
         source = kernel @ single
         inner = linear.solve(identity - kernel[:n] * absence[None], source[:n])
         multiple = absence[:, None] * inner
@@ -100,25 +100,25 @@ def thin(medium: Medium, lines: Lines) -> Response:
     emission = 0.5 * attenuation(depth, lines.rows)[:, None]
     light = lines.weight * mean[0] + lines.weight[:n] @ inside
     return Response(
-        back=back * up * (depth / rows) + emission * (even - odd),
-        on=on * down * (depth / rows) + emission * (even + odd),
+        reflected=r * up * (depth / rows) + emission * (even - odd),
+        transmitted=t * down * (depth / rows) + emission * (even + odd),
         absorbed=medium.coalbedo * depth * light,
     )
 
 
-def doubled(layer: Response, depth: jax.Array, lines: Lines) -> Response:
+def double(layer: Response, depth: jax.Array, lines: Lines) -> Response:
     """Two equal layers of optical depth `depth`  [de Haan, Bosma & Hovenier 1987, Eqs. 5 to 11]."""
     n, identity = lines.nodes, jnp.eye(lines.nodes, dtype=depth.dtype)
-    back, on, absorbed = layer
+    r, t, absorbed = layer
     passed = survival(depth, lines.columns)
     t_in, t_out = passed[None], survival(depth, lines.rows)[:, None]
-    twice = back[:n, :n] @ back[:n]
+    twice = r[:n, :n] @ r[:n]
     # Between the two: downwards, then upwards.
-    down = linear.solve(identity - twice[:, :n], on[:n] + twice * t_in)
-    up = back[:, :n] @ down + back * t_in
-    below = jnp.concatenate([down, on[n:] + back[n:, :n] @ up[:n]])
+    down = linear.solve(identity - twice[:, :n], t[:n] + twice * t_in)
+    up = r[:, :n] @ down + r * t_in
+    below = jnp.concatenate([down, t[n:] + r[n:, :n] @ up[:n]])
     return Response(
-        back=back + on[:, :n] @ up[:n] + t_out * up,
-        on=on[:, :n] @ down + t_out * below + on * t_in,
+        reflected=r + t[:, :n] @ up[:n] + t_out * up,
+        transmitted=t[:, :n] @ down + t_out * below + t * t_in,
         absorbed=absorbed * (1 + passed) + absorbed[:n] @ (down + up[:n]),
     )
