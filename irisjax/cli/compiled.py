@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from irisjax.render.scene import Scene
 
 MOST_TABLES = 8
-"""Illumination tables that are kept (up to 39 MB each); those not used for longest go first."""
+"""Illumination tables that are kept (up to 49 MB each); those not used for longest go first."""
 _MOST_VERSIONS = 4  # of the package, whose programs are kept side by side
 _MOST_THREADS = 4  # that read files
 _PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")

@@ -23,9 +23,9 @@ from irisjax.optics.conicoid import Vector, dot, from_parts, norm, parts
 from irisjax.render import refraction
 from irisjax.render.refraction import LARGEST_POLAR, UNIQUE_POLAR, RefractionFunction, on_cornea
 
-# Radians between tabulated polar angles, up to `UNIQUE_POLAR` and beyond.
-_SPACING, _FINE = 0.05, 0.0125
-_UNIQUE = round(UNIQUE_POLAR / _SPACING)
+# Radians between tabulated polar angles, up to the number `_STEEP` of them and beyond. The edge of
+# the shadow on the iris moves by 0.05 mm a degree there, and by 0.1 at `UNIQUE_POLAR`.
+_SPACING, _FINE, _STEEP = 0.05, 0.0125, 20
 _CHUNK = 1 << 14  # rays traced together: their intermediates stay in the cache
 
 
@@ -79,9 +79,8 @@ class Illumination(eqx.Module):
         y = -sin * point[..., 0] + cos * point[..., 1]
         size = self.flux.shape[1]
         position = tuple((c / self.extent + 1) * ((size - 1) / 2) for c in (y, x))
-        index = (
-            jnp.minimum(polar / _SPACING, _UNIQUE) + jnp.maximum(polar - UNIQUE_POLAR, 0.0) / _FINE
-        )
+        steep = _STEEP * _SPACING
+        index = jnp.minimum(polar / _SPACING, _STEEP) + jnp.maximum(polar - steep, 0.0) / _FINE
         if towards_light.ndim == 1:  # one layer for all points
             below = jnp.clip(jnp.floor(index), 0, len(self.flux) - 2).astype(int)
             low, high = (
@@ -99,7 +98,7 @@ class Illumination(eqx.Module):
 def _searched(size: int) -> tuple[int, int, int]:
     """Polar angles, azimuths and radii of the entry points for a grid of `size`."""
     share = min(size / 129, 1.0)
-    polars = 50 if share == 1 else _UNIQUE + 1  # those that are tabulated, no more
+    polars = 50 if share == 1 else round(UNIQUE_POLAR / _SPACING) + 1
     return polars, max(round(50 * share), 13), max(round(100 * share), 25)
 
 
@@ -264,7 +263,9 @@ def _build(
         found = arrivals.at(points, refraction.direction_of(angle))
         return refraction.window(eye, found.entry)[..., None] * found.flux
 
-    smoothly = jax.lax.map(smooth, jnp.arange(_UNIQUE + 1) * _SPACING)
+    steep = _STEEP * _SPACING
+    fine = steep + _FINE * jnp.arange(1, round((UNIQUE_POLAR - steep) / _FINE) + 1)
+    smoothly = jax.lax.map(smooth, jnp.concatenate([_SPACING * jnp.arange(_STEEP + 1), fine]))
     if not caustics:
         return Illumination(smoothly, extent, UNIQUE_POLAR)
     steps = round((LARGEST_POLAR - UNIQUE_POLAR) / _FINE)
