@@ -17,13 +17,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from PIL import Image
 from scipy import ndimage
 from scipy.stats import qmc
-from skimage.transform import resize
 
 from irisjax.numerics.checks import Range
 from irisjax.numerics.chunks import map_chunks, map_rows
 from irisjax.numerics.interpolation import chebyshev
+from irisjax.photo.edges import by_channel
 from irisjax.photo.filling import fill_by_texture
 from irisjax.photo.photograph import Brightness, Colours, Mask
 from irisjax.photo.pigments import iris_of_concentrations
@@ -374,11 +375,12 @@ def _level(
     at the best of those that are `tried`.
     """
     known, tints = level.known, level.light.shape[-1] // response.coefficients.shape[1]
-    near = np.asarray(resize(near, (*known.shape, 3), order=1, mode="edge"), np.float32)
-    noise = max(_noise(level.target * exposure, known), _NOISE)
+    near = by_channel(near, lambda c: c.resize(known.shape[::-1], Image.Resampling.BILINEAR))
+    taken = level.target * np.asarray(exposure, np.float32)
+    noise = max(_noise(taken, known), _NOISE)
     exposed = jnp.asarray(exposure * gain, jnp.float32)
     parts = near[known], (level.target / np.float32(gain))[known], level.light[known]
-    brightest = np.quantile(level.target[known] * exposure, 0.99, axis=0)
+    brightest = np.quantile(taken[known], 0.99, axis=0)
     wrong = jnp.asarray(response.error * brightest, jnp.float32)
     numbers = exposed, *(jnp.float32(x) for x in (noise, spread)), jnp.asarray(steps), tried, wrong
     loose = jnp.asarray(np.zeros((3, 3)) if doubt is None else doubt, jnp.float32)
@@ -425,6 +427,10 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
         values = whole @ functools.reduce(jnp.multiply, rows)
         return values.reshape(*coefficients.shape[1:], -1)
 
+    def total(terms):
+        """Sum over the first axis, term by term: XLA's reduction takes longer than the product."""
+        return functools.reduce(jnp.add, list(terms))
+
     colours = None if tried is None else response(polynomials(tried)[0])
 
     def solve(pixels):
@@ -436,9 +442,9 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
 
         def around(z):
             values, slopes = polynomials(z)
-            shown = (response(values) * light).sum(0)
+            shown = total(response(values) * light)
             pushed = [
-                (response([slopes[i] if j == i else values[j] for j in range(3)]) * light).sum(0)
+                total(response([slopes[i] if j == i else values[j] for j in range(3)]) * light)
                 for i in range(3)
             ]
             lit = jnp.maximum(shown * exposure[:, None], 0.0) + _DARK
@@ -448,9 +454,11 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
             # Colours that the model cannot make keep their brightness.
             dim, dims = off.mean(0), rates.mean(1)
             bright = _BRIGHTNESS * weight.min(0)
-            cost = (weight * off**2).sum(0) + bright * dim**2 + prior * ((z - centre) ** 2).sum(0)
-            slope = -(weight * rates * off).sum(1) - bright * dims * dim - prior * (z - centre)
-            told = (weight * rates[:, None] * rates[None]).sum(2) + prior * eye
+            cost = total(weight * off**2) + bright * dim**2 + prior * total((z - centre) ** 2)
+            slope = -total(jnp.moveaxis(weight * rates * off, 1, 0)) - bright * dims * dim
+            slope = slope - prior * (z - centre)
+            channels = zip(weight, jnp.moveaxis(rates, 1, 0), strict=True)
+            told = total(w * r[:, None] * r for w, r in channels) + prior * eye
             # The force of a channel's logarithm of exposure on the numbers.
             pull = weight * rates * (steep * (lit - _DARK))
             return cost, slope, told + bright * dims[:, None] * dims, told, pull, off
@@ -465,7 +473,7 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
             at_end = ((z <= low) & (slope < 0)) | ((z >= high) & (slope > 0))
             free = jnp.where(at_end, 0.0, 1.0)
             damped = matrix * (1 + damping * eye) * free[:, None] * free + eye * (1 - free)
-            move = (_inverse(damped) * (slope * free)).sum(1)
+            move = total(_inverse(damped) * (slope * free)[:, None])  # symmetric
             moved = jnp.clip(z + jnp.clip(move, -_LONGEST, _LONGEST), low, high)
             found = around(moved)
             better = found[0] < cost
@@ -478,10 +486,10 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
 
         start = centre
         if tried is not None and colours is not None:
-            seen = encoded((colours[..., None] * light[:, :, None]).sum(0).reshape(3, -1))
-            off = seen.reshape(3, *colours.shape[2:], -1) - wanted[:, None]
+            seen = total(c[..., None] * s[:, None] for c, s in zip(colours, light, strict=True))
+            off = encoded(seen.reshape(3, -1)).reshape(3, *colours.shape[2:], -1) - wanted[:, None]
             away = tried[..., None] - centre[:, None]
-            near = (weight[:, None] * off**2).sum(0) + prior * (away**2).sum(0)
+            near = total(weight[:, None] * off**2) + prior * total(away**2)
             near = near + _BRIGHTNESS * weight.min(0) * off.mean(0) ** 2
             best = jnp.argmin(near, axis=0)
             start = tried[:, best]
@@ -491,8 +499,8 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
         *_, z, (*_, told, pull, off), _ = jax.lax.while_loop(unfinished, step, begin)
         # The coarser levels, which a prior is about, move with the exposures as well.
         firm = _inverse(told + (1 / _PRIOR**2 - prior) * eye)
-        moved = (firm[:, :, None] * pull[None]).sum(1)
-        common = jnp.einsum("icp,cd,jdp->ijp", moved, loose, moved)
+        moved = total(f[:, None] * p for f, p in zip(firm, pull, strict=True))
+        common = total(moved[:, None, c] * (loose[c][:, None] * moved).sum(1) for c in range(3))
         return z, _inverse(told) + common, jnp.einsum("iip->ip", common), off
 
     found = map_chunks(solve, tuple(jnp.moveaxis(r, 0, -1) for r in rows))
