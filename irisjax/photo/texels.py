@@ -522,9 +522,12 @@ def _halved(level: Seen) -> Seen:
     """Means over squares of 2 × 2 pixels, of those that count."""
     known = level.known[..., None].astype(np.float32)
     count = half_size(known)
-    parts = level.target, level.light, level.logs
-    means = (half_size(values * known) / np.maximum(count, 1e-6) for values in parts)
-    return Seen(*means, count[..., 0] > 0.2)
+
+    def mean(values):
+        return half_size(values * known) / np.maximum(count, 1e-6)
+
+    parts = mean(level.target), mean(level.light), mean(level.logs)
+    return Seen(*parts, count[..., 0] > 0.2)
 
 
 def _noise(values: Colours, known: Mask) -> float:
