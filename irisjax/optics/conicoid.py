@@ -4,8 +4,9 @@ A surface is p z² − 2 R z + x² + y² = 0 with z counted from its apex along 
 1 is a sphere, 0 < p < 1 a prolate ellipsoid, p = 0 a paraboloid. Vectors are arrays of shape (…,
 3).
 
-All functions are written in components, and materialise what several of them share: XLA then makes
-short loops over rays of them, and never stores three components side by side.
+Most functions are written in components, and materialise what several of them share: XLA then makes
+short loops over rays of them. Only `dot` sums over the last axis: by components pictures with many
+lamps under radiative transfer would take 1.8 times as long.
 """
 
 from collections.abc import Sequence
@@ -65,7 +66,7 @@ class Conicoid(eqx.Module):
         z = z - self.apex
         # Counted from the point nearest to the apex: from a far origin what is subtracted below
         # would be of the size of its square.
-        ahead = -dot(from_parts([x, y, z]), direction)
+        ahead = -_sum([x * u, y * v, z * w])
         x, y, z = x + ahead * u, y + ahead * v, z + ahead * w
         a = u * u + v * v + self.shape * w * w
         b = x * u + y * v + (self.shape * z - self.radius) * w
@@ -111,7 +112,12 @@ def from_axis(point: Vector) -> Float[Array, "*s"]:
 
 def dot(a: Float[Array, "*#s n"], b: Float[Array, "*#s n"]) -> Float[Array, "*#s"]:
     """Compute the scalar product over the last axis."""
-    return jnp.stack([x * y for x, y in zip(parts(a), parts(b), strict=True)]).sum(0)
+    return (a * b).sum(-1)
+
+
+def _sum(terms: Sequence[Float[Array, "*s"]]) -> Float[Array, "*s"]:
+    """Add terms by a sum along an axis, which is computed once as `materialise` has it."""
+    return jnp.stack(list(terms)).sum(0)
 
 
 def norm(a: Float[Array, "*s n"]) -> Float[Array, "*s"]:
@@ -131,11 +137,11 @@ def refract_vector(
         The directions behind the interface, and the shares that pass, 1 − F (0 under total
         reflection).
     """
-    cosine = -dot(direction, normal)
+    pairs = list(zip(parts(direction), parts(normal), strict=True))
+    cosine = -_sum([d * n for d, n in pairs])
     ratio = n_in / n_out
     inside = safe_sqrt(1 - ratio * ratio * (1 - cosine * cosine))
     turn = ratio * cosine - inside
-    pairs = zip(parts(direction), parts(normal), strict=True)
     out = from_parts([ratio * d + turn * n for d, n in pairs])
     return out, fresnel(jnp.maximum(cosine, 0), inside, n_in, n_out)[1]
 
