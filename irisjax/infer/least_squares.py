@@ -177,7 +177,7 @@ def _with_jacobian(residuals: Callable[[Any, Any, Any], Any]) -> Callable[[Any, 
 
 
 def _search(function, args, solver, weights, max_steps, x):
-    """Where one search ends, with the priors at one weight after another."""
+    """Run one search, with the priors at one weight after another."""
 
     def at_weight(x, weight):
         end = optx.least_squares(

@@ -167,9 +167,9 @@ def quadratic_rule(
 
 
 def _on_panels(starts, widths, panels, n: int):
-    """Coordinates and weights of `n` nodes on their panels, and these panels' starts and widths."""
+    """Find coordinates and weights of `n` nodes on their panels, and the panels' extents."""
     x, w, owner = _panel_nodes(n, starts.size)
-    # With its dtype named: JAX keeps a NumPy array's first precision for as long as it lives.
+    # A named dtype is needed: JAX keeps a NumPy array's first precision for as long as it lives.
     x, w = (jnp.asarray(row, starts.dtype)[panels - 1] for row in (x, w))
     owner = jnp.asarray(owner)[panels - 1]
     return x, w, starts[owner], widths[owner]

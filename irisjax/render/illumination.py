@@ -23,9 +23,11 @@ from irisjax.optics.conicoid import Vector, dot, from_parts, norm, parts
 from irisjax.render import refraction
 from irisjax.render.refraction import LARGEST_POLAR, UNIQUE_POLAR, RefractionFunction, on_cornea
 
-# Radians between tabulated polar angles, up to the number `_STEEP` of them and beyond. The edge of
-# the shadow on the iris moves by 0.05 mm a degree there, and by 0.1 at `UNIQUE_POLAR`.
-_SPACING, _FINE, _STEEP = 0.05, 0.0125, 20
+# Radians between tabulated polar angles, up to `_STEEP` radians and beyond. The edge of the shadow
+# on the iris moves by 0.05 mm a degree there, and by 0.1 at `UNIQUE_POLAR`.
+_SPACING, _FINE = 0.05, 0.0125
+_COARSE = 20  # number of the wider steps
+_STEEP = _COARSE * _SPACING
 _CHUNK = 1 << 14  # rays traced together: their intermediates stay in the cache
 
 
@@ -79,8 +81,7 @@ class Illumination(eqx.Module):
         y = -sin * point[..., 0] + cos * point[..., 1]
         size = self.flux.shape[1]
         position = tuple((c / self.extent + 1) * ((size - 1) / 2) for c in (y, x))
-        steep = _STEEP * _SPACING
-        index = jnp.minimum(polar / _SPACING, _STEEP) + jnp.maximum(polar - steep, 0.0) / _FINE
+        index = jnp.minimum(polar / _SPACING, _COARSE) + jnp.maximum(polar - _STEEP, 0.0) / _FINE
         if towards_light.ndim == 1:  # one layer for all points
             below = jnp.clip(jnp.floor(index), 0, len(self.flux) - 2).astype(int)
             low, high = (
@@ -263,9 +264,8 @@ def _build(
         found = arrivals.at(points, refraction.direction_of(angle))
         return refraction.window(eye, found.entry)[..., None] * found.flux
 
-    steep = _STEEP * _SPACING
-    fine = steep + _FINE * jnp.arange(1, round((UNIQUE_POLAR - steep) / _FINE) + 1)
-    smoothly = jax.lax.map(smooth, jnp.concatenate([_SPACING * jnp.arange(_STEEP + 1), fine]))
+    fine = _STEEP + _FINE * jnp.arange(1, round((UNIQUE_POLAR - _STEEP) / _FINE) + 1)
+    smoothly = jax.lax.map(smooth, jnp.concatenate([_SPACING * jnp.arange(_COARSE + 1), fine]))
     if not caustics:
         return Illumination(smoothly, extent, UNIQUE_POLAR)
     steps = round((LARGEST_POLAR - UNIQUE_POLAR) / _FINE)
