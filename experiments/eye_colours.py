@@ -234,7 +234,7 @@ def search(colour, base, eye, quick=False):
 def reflectance(iris, maps, model):
     """Luminance of the texels' reflectance, mean by area."""
     eye = Eye()
-    albedo = np.asarray(Matt.of(iris, maps, eye, colour_bands(), INTEGRATORS[model]()).albedo())
+    albedo = np.asarray(Matt.build(iris, maps, eye, colour_bands(), INTEGRATORS[model]()).albedo())
     weight = np.asarray(eye.from_axis(cell_centres(maps.shape)[1]))
     return float(_TO_WHITE[1] @ (albedo.mean(0).T @ weight / weight.sum()))
 

@@ -134,7 +134,7 @@ def _eye(colour: str, shape: tuple[int, int], key) -> tuple[Scene, Matt]:
         math.radians(LAMP[f"{n}_deg"]) for n in ("polar", "azimuth", "radius")
     )
     lamp = Lights.distant(polar, azimuth, LAMP["irradiance"], radius=radius)
-    matt = Matt.of(iris, maps, eye, colour_bands(cornea=eye.cornea), Separable())
+    matt = Matt.build(iris, maps, eye, colour_bands(cornea=eye.cornea), Separable())
     return Scene(iris, maps, eye, lamp), matt
 
 

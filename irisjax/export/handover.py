@@ -114,7 +114,7 @@ def _contents(
     said = f"simulated by irisjax; {integrator.process}; a texel's albedo at normal incidence"
     remark = {"comments": said}
     bands, hazy = (colour_bands(scene.illuminant, scene.observer, c) for c in (None, eye.cornea))
-    matt = Matt.of(scene.tissue, maps, eye, _joined(bands, hazy), integrator)
+    matt = Matt.build(scene.tissue, maps, eye, _joined(bands, hazy), integrator)
     colour, through, spectral = np.split(np.asarray(matt.albedo()), [3, 6], axis=-1)
     if maps is not None and maps.residual is not None:
         kept = np.asarray(maps.residual)
@@ -138,13 +138,13 @@ def _contents(
         data["relief.exr"] = encode_exr("relief.exr", height, ("Y",), remark)
     if maps is not None and maps.present():
         data["maps.exr"] = encode_maps("maps.exr", maps)
-    data["brdf.csv"] = _brdf(matt.first(3), scene.illuminant, integrator).encode()
+    data["brdf.csv"] = _brdf(matt.first_channels(3), scene.illuminant, integrator).encode()
     if around is not None:
         data["environment.exr"] = encode_exr("environment.exr", np.asarray(around.radiance))
     white = None if white is None else white.mean((0, 1))
     xml = mitsuba_scene(scene, relief=relief is not None, white=white, haze=haze)
     data["scene.xml"] = xml.encode()
-    error = matt.first(3).error()
+    error = matt.first_channels(3).error()
     shares = error._asdict().items()
     values = {
         **dict.fromkeys(data, ""),

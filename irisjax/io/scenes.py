@@ -34,7 +34,7 @@ from irisjax.measure.colour import illuminant_power
 from irisjax.numerics.checks import Range
 from irisjax.render.camera import CAMERA_LIMITS, LARGEST, Camera
 from irisjax.render.environment import ENVIRONMENTS
-from irisjax.render.integrators import INTEGRATORS, finer, integrator_name
+from irisjax.render.integrators import INTEGRATORS, integrator_name, refine_table
 from irisjax.render.lights import LIGHT_LIMITS, Lights
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, LAMP, Scene
 from irisjax.tissue.iris import FRACTIONS, LIMITS, MELANIN_LOAD, Absorption, Iris
@@ -83,7 +83,7 @@ class SceneFile:
                 key = next((k for k in keys if str(error).startswith(f"{k} ")), None)
                 raise _SceneError(f"{self.where(name, key)}: {name}: {error}") from None
         if maps and maps["maps"].residual is not None:  # the maps of a photograph
-            parts["integrator"] = finer(method)
+            parts["integrator"] = refine_table(method)
             if not self._of("maps").get("residual", True):
                 maps["maps"] = maps["maps"].replace(residual=None)
         return Scene(**parts | maps)

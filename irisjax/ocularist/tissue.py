@@ -66,7 +66,7 @@ def reflectance_of(
     Without maps the result has equal texels, of shape (2, 2, 3). The default integrator is ILIT's.
     """
     asked = Separable(degrees=_DEGREES) if integrator is None else integrator
-    matt = Matt.of(iris, maps, eye, colour_bands(), asked)
+    matt = Matt.build(iris, maps, eye, colour_bands(), asked)
     return jnp.maximum(matt.albedo(), 0.0)
 
 

@@ -56,7 +56,7 @@ from irisjax.photo.windows import (
 )
 from irisjax.render.environment import LUMINANCE, Environment
 from irisjax.render.illumination import Illumination
-from irisjax.render.integrators import finer
+from irisjax.render.integrators import refine_table
 from irisjax.render.lights import Lights
 from irisjax.render.picture import LitView, illuminate, respond, shade, surroundings, texture
 from irisjax.render.project import View, look, onto_picture
@@ -581,7 +581,7 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
     """
     if not has_texels(settings, given):
         return Coloured(**vars(fitted), texels=None)
-    finest: Any = finer(fitted.integrator)
+    finest: Any = refine_table(fitted.integrator)
     fitted = dataclasses.replace(fitted, integrator=finest)
     scene = fitted.scene_with(None).replace(integrator=finest)
     shape, eye = fitted.clear.shape, fitted.pose.eye

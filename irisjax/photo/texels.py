@@ -405,7 +405,7 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
     low, high = jnp.log(spans).T[..., None]
     first, last = jnp.log1p(products.BEND * spans).T[..., None]
     whole = coefficients.reshape(coefficients.shape[0], -1).T
-    kept = np.array(products.kept_products(degrees)).T
+    kept = np.array(products.product_degrees(degrees)).T
     prior = 1 / spread**2
     eye = jnp.eye(3, dtype=spans.dtype)[..., None]
 

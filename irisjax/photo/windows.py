@@ -21,7 +21,7 @@ from irisjax.render import project
 from irisjax.render.bands import Bands, colour_bands
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
-from irisjax.render.integrator import checked_response
+from irisjax.render.integrator import solve_response
 from irisjax.render.lights import Lights
 from irisjax.render.outside import room_at
 from irisjax.render.project import IRIS, SCLERA, IrisPixels, View, onto_picture
@@ -142,7 +142,7 @@ class Windows(eqx.Module):
 
     def _from_the_front(self, iris: Iris, ranges: Scales, scales: Scales) -> np.ndarray:
         """Luminance of uniform irides."""
-        found: Any = checked_response(self.integrator, iris, self.aqueous_index, self.bands, ranges)
+        found: Any = solve_response(self.integrator, iris, self.aqueous_index, self.bands, ranges)
         one = jnp.ones_like(scales.stroma)
         return np.asarray(LUMINANCE_WEIGHTS @ np.asarray(found.brdf(scales, one, one, 0 * one)))
 

@@ -1,4 +1,4 @@
-"""What a scene requires of an integrator: how the iris sends back the light that reaches it."""
+"""The interface of integrators: how the iris sends back the light that reaches it."""
 
 import abc
 from typing import Any
@@ -19,11 +19,10 @@ from irisjax.transport.solution import RESULTS, raise_failure
 
 
 class AbstractResponse(eqx.Module):
-    """An iris of given pigments, ready to shade pixels.
+    """How an iris of given pigments sends light back.
 
     Attributes:
-        error: Error of a table, relative to the brightest texel; `None` where nothing is
-            tabulated.
+        error: Error of a tabulated response, relative to the brightest texel; `None` of others.
         status: Status of the solver; `None` where nothing can fail.
     """
 
@@ -32,29 +31,29 @@ class AbstractResponse(eqx.Module):
 
     @abc.abstractmethod
     def shade(self, pixels: IrisPixels, texels: Any, light: Any) -> Float[Array, "channels pixels"]:
-        """Radiance of pixels in the channels of the picture, from `AbstractIntegrator.texels` and
-        `AbstractIntegrator.illuminate`.
+        """Compute the radiance of pixels in the channels of the picture from the results of
+        `AbstractIntegrator.texels` and `AbstractIntegrator.illuminate`.
         """
 
 
 class AbstractIntegrator(eqx.Module):
-    """An integrator is an immutable value: a method and its settings."""
+    """A method of computing the iris's radiance, with its settings; an immutable value."""
 
     @property
     @abc.abstractmethod
     def process(self) -> AbstractProcess | None:
-        """Process of light in tissue; `None` where there is no tissue, but paint."""
+        """Process of light in tissue; `None` for a painted iris."""
 
     def prepare(
         self, iris: Iris | None, aqueous_index: Scalar, bands: Bands, ranges: Scales
     ) -> "AbstractIntegrator":
-        """Fix everything that must be known before tracing."""
+        """Fix the settings that depend on concrete numbers, before the integrator is traced."""
         del iris, aqueous_index, bands, ranges
         return self
 
     def texels(self, pixels: IrisPixels, front: Front, ranges: Scales) -> Any:
-        """Look up what the iris is made of at each pixel; nothing of it depends on light or on
-        pigments. `ranges` are those of the response.
+        """Look up the iris's maps at each pixel, which depends neither on light nor on pigments.
+        `ranges` are those of the response.
         """
         del pixels, front, ranges
 
@@ -67,29 +66,29 @@ class AbstractIntegrator(eqx.Module):
         tables: Illumination | None,
         facing: Facing | None,
     ) -> Any:
-        """Compute the light that the response needs at each pixel; nothing of it depends on
-        pigments. `tables` are `None` for a bare iris, `facing` is that of `Front`.
+        """Compute the light at each pixel in the form that the response needs, whatever the
+        pigments. `tables` is `None` for an iris without a cornea; `facing` is `Front.facing`.
         """
 
     @abc.abstractmethod
     def response(
         self, iris: Iris | None, aqueous_index: Scalar, bands: Bands, ranges: Scales
     ) -> AbstractResponse:
-        """Compute how the iris behind a chamber sends light back, for the channels of `bands` and
-        texels within `ranges` (`Scales.ranges`).
+        """Compute the response of the iris behind a chamber in the channels of `bands`, for texels
+        within `ranges` (`Scales.ranges`).
         """
 
 
-def checked_response(integrator: AbstractIntegrator, *parts: Any) -> AbstractResponse:
-    """Compute `AbstractIntegrator.response` of its arguments in one compiled program.
+def solve_response(integrator: AbstractIntegrator, *parts: Any) -> AbstractResponse:
+    """Compute `AbstractIntegrator.response` in one compiled program.
 
     Raises:
-        ValueError: The integrator's solver does not hold the layers of a texel.
+        ValueError: The layers of a texel are outside the range of the integrator's solver.
     """
-    found = _response(integrator, *parts)
-    return found if found.status is None else raise_failure(found, found.status)
+    response = _compiled_response(integrator, *parts)
+    return response if response.status is None else raise_failure(response, response.status)
 
 
 @eqx.filter_jit
-def _response(integrator: AbstractIntegrator, *parts: Any) -> AbstractResponse:
+def _compiled_response(integrator: AbstractIntegrator, *parts: Any) -> AbstractResponse:
     return integrator.response(*parts)

@@ -23,7 +23,7 @@ from irisjax.render import outside
 from irisjax.render.bands import Bands, colour_bands, spectral_bands
 from irisjax.render.environment import LUMINANCE
 from irisjax.render.illumination import Illumination
-from irisjax.render.integrator import AbstractResponse, checked_response
+from irisjax.render.integrator import AbstractResponse, solve_response
 from irisjax.render.lids import LASH, in_front, lid_colour, lid_colours, lids_lit
 from irisjax.render.outside import ColourTable, colour_table
 from irisjax.render.project import IrisPixels, View, look, onto_picture, project
@@ -214,7 +214,7 @@ def respond(scene: Scene, ranges: Scales | None = None) -> AbstractResponse:
     """
     iris, index, bands, of_maps = _asked(scene)
     asked = iris, index, bands, of_maps if ranges is None else ranges
-    return checked_response(scene.integrator.prepare(*asked), *asked)
+    return solve_response(scene.integrator.prepare(*asked), *asked)
 
 
 def prepared_scene(scene: Scene) -> Scene:

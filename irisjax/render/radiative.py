@@ -1,7 +1,6 @@
-"""The iris by radiative transfer: each texel's BRDF, all orders of scattering, for every light by
-itself.
+"""The iris by radiative transfer: each texel's BRDF with all orders of scattering, for each light.
 
-What depends on directions alone (`angular`) is summed over the lights once.
+The functions of directions (`angular`) are summed over the lights once, whatever the pigments.
 """
 
 import dataclasses
@@ -13,10 +12,10 @@ from irisjax._types import Scalar
 from irisjax.numerics.checks import is_known
 from irisjax.render.angular import (
     AngularFunctions,
-    AngularLight,
-    light_of,
-    mixtures_of,
-    some_of,
+    LightMoments,
+    choose_mixtures,
+    light_moments,
+    sample_pixels,
     surface_indices,
 )
 from irisjax.render.bands import Bands
@@ -70,17 +69,17 @@ class RadiativeIntegrator(AbstractTabulated):
     def prepare(
         self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
     ) -> "RadiativeIntegrator":
-        """With the solver chosen, where none was: the table that comes with the package if it holds
-        the indices and the layers of all texels, else `RadiativeExact`.
+        """Choose the solver, where none was given: the table that comes with the package if it
+        covers the indices and the layers of all texels, else `RadiativeExact`.
         """
-        parts = iris, aqueous_index, bands, ranges
+        arguments = iris, aqueous_index, bands, ranges
         table = shipped_table(iris.indices(aqueous_index)) if self.solver is None else None
         if table is not None:
-            held = _holds(table, *parts)
-            if is_known(held) and held:
+            holds = _table_holds(table, *arguments)
+            if is_known(holds) and holds:
                 return dataclasses.replace(self, solver=table)
         solver = RadiativeExact(16, 8) if self.solver is None else self.solver
-        solver = solver.prepare(_deepest(*parts), Light(1.0))
+        solver = solver.prepare(_densest_layers(*arguments), Light(1.0))
         return dataclasses.replace(self, solver=solver)
 
     def illuminate(
@@ -90,27 +89,30 @@ class RadiativeIntegrator(AbstractTabulated):
         front: Front,
         tables: Illumination | None,
         facing: Facing | None,
-    ) -> AngularLight:
-        """Sum the lights in the functions of directions. The directions of one scene need a few
-        mixtures of these functions, which some of its pixels show; all of them are kept where
-        something is traced, for derivatives.
+    ) -> LightMoments:
+        """Sum the functions of directions over the lights.
+
+        The directions of one scene are described by a few mixtures of these functions, which are
+        chosen from a sample of its pixels. Under a JAX transformation all functions are kept.
         """
         angles = self.directions(front.iris, front.eye.aqueous_index)
         flux = fluxes_of(lights, front.eye, tables)
-        turned, known = (pixels, facing), (flux, lights.factors, front.eye, angles)
-        some = light_of(some_of(turned), *known, None)
-        if not is_known(some):
-            return light_of(turned, *known, None), None
-        mixtures, shares = mixtures_of(some, angles)
-        return light_of(turned, *known, mixtures), shares
+        pixels_and_facing, shared = (pixels, facing), (flux, lights.factors, front.eye, angles)
+        sampled = light_moments(sample_pixels(pixels_and_facing), *shared, None)
+        if not is_known(sampled):
+            return light_moments(pixels_and_facing, *shared, None), None
+        mixtures, shares = choose_mixtures(sampled, angles)
+        return light_moments(pixels_and_facing, *shared, mixtures), shares
 
 
-def _deepest(iris: Iris, aqueous_index, bands: Bands, ranges: Scales) -> Layers:
-    """Layers of the texel that has most of everything."""
-    most = Scales(*(None if r is None else r[1] for r in ranges))
-    return texel_layers(iris, aqueous_index, extinction(np.asarray(bands.wavelengths)), most)
+def _densest_layers(iris: Iris, aqueous_index, bands: Bands, ranges: Scales) -> Layers:
+    """Return the layers of a texel whose scales are all at their largest."""
+    largest = Scales(*(None if r is None else r[1] for r in ranges))
+    return texel_layers(iris, aqueous_index, extinction(np.asarray(bands.wavelengths)), largest)
 
 
 @eqx.filter_jit
-def _holds(table: RadiativeTabulated, iris: Iris, aqueous_index, bands: Bands, ranges: Scales):
-    return table.holds(_deepest(iris, aqueous_index, bands, ranges))
+def _table_holds(
+    table: RadiativeTabulated, iris: Iris, aqueous_index, bands: Bands, ranges: Scales
+):
+    return table.holds(_densest_layers(iris, aqueous_index, bands, ranges))

@@ -1,7 +1,7 @@
-"""The iris seen by ILIT, all orders of scattering.
+"""The iris by ILIT, with all orders of scattering.
 
-ILIT's BRDF is separable: f(μ_i, μ_o, λ) = (1 − F(μ_i)) g(μ_o, λ), so that lights are summed before
-the response is known.
+ILIT's BRDF is separable: f(μ_i, μ_o, λ) = (1 − F(μ_i)) g(μ_o, λ), so that the sum over lights does
+not depend on the response.
 """
 
 import equinox as eqx
@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from irisjax._types import Scalar
-from irisjax.optics.fresnel import fresnel, fresnel_at, refract
+from irisjax.optics.fresnel import fresnel_at, refract
 from irisjax.render import angular
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.polynomials import along_nodes
+from irisjax.render.polynomials import chebyshev_coefficients
 from irisjax.render.project import IrisPixels
 from irisjax.render.shading import Facing, Front, field_of, irradiance_at
 from irisjax.render.tabulated import AbstractTabulated
@@ -23,7 +23,7 @@ from irisjax.transport.light import Directions
 from irisjax.transport.process import AbstractProcess, Ilit
 from irisjax.transport.solver import AbstractSolver
 
-_OFF = np.array([0.15, 0.6, 0.95])
+_CHECK_COSINES = np.array([0.15, 0.6, 0.95])
 
 
 class Separable(AbstractTabulated):
@@ -58,13 +58,14 @@ class Separable(AbstractTabulated):
         front: Front,
         tables: Illumination | None,
         facing: Facing | None,
-    ) -> angular.AngularLight:
+    ) -> angular.LightMoments:
         field = field_of(lights, front.eye, front.iris, tables, relief=facing is not None)
         return irradiance_at((pixels, facing), field, front.eye), None
 
 
-class ExitFunctions(angular.AbstractAngular):
-    """Polynomials in the exit cosine within the ABL, times both shares that cross its surface.
+class ExitFunctions(angular.AbstractAngularFunctions):
+    """Polynomials in the exit cosine within the ABL, times the shares that cross its surface on the
+    way in and out.
 
     Attributes:
         degree: Degree of the polynomials.
@@ -79,20 +80,20 @@ class ExitFunctions(angular.AbstractAngular):
         cos_exit: angular.PerPixel,
         across: angular.PerPixel | None,
     ) -> angular.Functions:
-        return self.exits(cos_exit) * fresnel_at(cos_incidence, *self.indices)[1]
+        return self.exit_functions(cos_exit) * fresnel_at(cos_incidence, *self.indices)[1]
 
-    def exits(self, cos_exit: angular.PerPixel) -> angular.Functions:
-        _, rows, passed = self.crossing(cos_exit, self.degree)
-        return rows * passed
+    def exit_functions(self, cos_exit: angular.PerPixel) -> angular.Functions:
+        _, rows, transmitted = self.cross_surface(cos_exit, self.degree)
+        return rows * transmitted
 
     def nodes(self) -> tuple[angular.Nodes, angular.Nodes]:
-        exits = refract(self.inside(self.degree), *self.indices[::-1])
-        others = _OFF[np.minimum(np.arange(exits.size), len(_OFF) - 1)]
-        into = jnp.ones_like(exits[:1])
-        return (into, Directions(exits)), (into, Directions(others))
+        exits = refract(self.inside_nodes(self.degree), *self.indices[::-1])
+        check_cosines = _CHECK_COSINES[np.minimum(np.arange(exits.size), len(_CHECK_COSINES) - 1)]
+        normal_incidence = jnp.ones_like(exits[:1])
+        return (normal_incidence, Directions(exits)), (normal_incidence, Directions(check_cosines))
 
-    def coefficients(self, brdf: angular.Solved) -> angular.Coefficients:
-        inside = self.inside(self.degree)
-        passed = fresnel(refract(inside, *self.indices[::-1]), inside, *self.indices)[1]
-        entered = fresnel_at(jnp.ones_like(self.indices[0]), *self.indices)[1]
-        return along_nodes(brdf[:, 0] / (entered * passed[:, None]), 1)
+    def coefficients(self, brdf: angular.NodeBrdf) -> angular.Coefficients:
+        inside = self.inside_nodes(self.degree)
+        entering = fresnel_at(jnp.ones_like(self.indices[0]), *self.indices)[1]
+        transmitted = entering * self.transmission(inside)[:, None]
+        return chebyshev_coefficients(brdf[:, 0] / transmitted, 1)

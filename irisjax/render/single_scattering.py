@@ -33,7 +33,7 @@ from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
-from irisjax.render.polynomials import polynomials
+from irisjax.render.polynomials import chebyshev_polynomials
 from irisjax.render.project import IrisPixels
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.shading import (
@@ -132,12 +132,12 @@ class _Matched(AngularFunctions):
     `_LOWEST` on.
     """
 
-    def inside(self, degree):
+    def inside_nodes(self, degree):
         return _LOWEST + (1 - _LOWEST) * jnp.asarray((chebyshev_nodes(degree + 1) + 1) / 2)
 
-    def crossing(self, cosine, degree):
+    def cross_surface(self, cosine, degree):
         held = jnp.maximum(cosine, _LOWEST)
-        rows = polynomials(2 * (held - _LOWEST) / (1 - _LOWEST) - 1, degree + 1)
+        rows = chebyshev_polynomials(2 * (held - _LOWEST) / (1 - _LOWEST) - 1, degree + 1)
         return held, rows, jnp.ones_like(held)
 
     def functions(self, cos_incidence, cos_exit, across):

@@ -32,7 +32,7 @@ from irisjax.photo.windows import (
 )
 from irisjax.render.bands import colour_bands
 from irisjax.render.environment import Environment
-from irisjax.render.integrator import checked_response
+from irisjax.render.integrator import solve_response
 from irisjax.render.picture import draw
 from irisjax.render.project import look
 from irisjax.render.radiative import RadiativeIntegrator
@@ -197,4 +197,4 @@ def test_the_table_of_a_search_by_radiative_transfer_errs_less_than_windows_do()
     made = RadiativeIntegrator(**SEARCHED).prepare(base, *known)
     for z in np.random.default_rng(1).normal(size=(6, len(FREE_NAMES))):
         iris = iris_of_concentrations(parameter_values(z), base)
-        assert checked_response(made, iris, *known).error < half
+        assert solve_response(made, iris, *known).error < half

@@ -9,11 +9,11 @@ import pytest
 import irisjax as ij
 from common import slowly
 from irisjax.measure.colour import illuminant_power
-from irisjax.render.albedo import Matt, of_pairs
+from irisjax.render.albedo import Matt, lambert_error
 from irisjax.render.bands import spectral_bands
 from irisjax.render.camera import Camera
 from irisjax.render.illumination import Illumination
-from irisjax.render.integrator import checked_response
+from irisjax.render.integrator import solve_response
 from irisjax.render.integrators import INTEGRATORS, integrator_name
 from irisjax.render.lights import Lights
 from irisjax.render.picture import draw
@@ -63,8 +63,8 @@ def scaled(iris, abl=1.0, stroma=1.0, scattering=1.0):
 def response():
     integrator, bands = RadiativeIntegrator(), spectral_bands(X, "E")
     made = integrator.prepare(LIGHT, INDEX, bands, RANGES)
-    checked_response(made, LIGHT, INDEX, bands, RANGES)  # compiled
-    return lambda iris: checked_response(made, iris, INDEX, bands, RANGES)
+    solve_response(made, LIGHT, INDEX, bands, RANGES)  # compiled
+    return lambda iris: solve_response(made, iris, INDEX, bands, RANGES)
 
 
 brdf_of = eqx.filter_jit(lambda response, *directions: response.brdf(*directions))
@@ -170,12 +170,12 @@ def test_layers_beyond_the_table_are_solved_exactly_or_refused():
     other = RadiativeIntegrator().prepare(LIGHT, jnp.asarray(1.376), bands, Scales()).solver
     assert isinstance(other, ij.RadiativeExact)
     with pytest.raises(ValueError, match="outside the range"):
-        checked_response(RadiativeIntegrator(solver=table), thick, INDEX, bands, RANGES)
+        solve_response(RadiativeIntegrator(solver=table), thick, INDEX, bands, RANGES)
 
 
 @pytest.fixture(scope="module")
 def matt():
-    return Matt.of(LIGHT, even(), BARE, spectral_bands(X, "E"), RadiativeIntegrator())
+    return Matt.build(LIGHT, even(), BARE, spectral_bands(X, "E"), RadiativeIntegrator())
 
 
 def test_the_matt_iris_of_the_hand_over(matt):
@@ -209,14 +209,14 @@ def test_distance_from_lamberts_law():
     flat, weight = np.full((3, 2), 0.01), np.array([0.25, 0.75])
     share = np.array([0.4, 0.6])
     brighter = np.full((2, 2, 3, 3, 2), 0.011)
-    found = of_pairs(flat, weight, (brighter, share), (brighter, share), brighter)
+    found = lambert_error(flat, weight, (brighter, share), (brighter, share), brighter)
     np.testing.assert_allclose(found.rms, 1 - 1 / 1.1)
     np.testing.assert_allclose(found.most, 1 / 1.1 - 1)
     np.testing.assert_allclose(found.texels, 1 - 1 / 1.1)
     np.testing.assert_allclose(found.hemisphere, 0.1 / 1.1)
     turns = brighter.copy()
     turns[0] = 0.009
-    found = of_pairs(flat, weight, (brighter, share), (turns, share), brighter)
+    found = lambert_error(flat, weight, (brighter, share), (turns, share), brighter)
     np.testing.assert_allclose(found.hemisphere, 0.1 / (0.4 * 0.9 + 0.6 * 1.1))
 
 

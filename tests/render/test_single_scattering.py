@@ -13,7 +13,7 @@ from common import quick_jit, solve
 from irisjax.anatomy.eye import Eye
 from irisjax.render.bands import Bands
 from irisjax.render.camera import Camera
-from irisjax.render.integrator import checked_response
+from irisjax.render.integrator import solve_response
 from irisjax.render.lights import Lights
 from irisjax.render.picture import illuminate, shade, texture
 from irisjax.render.project import project
@@ -60,7 +60,7 @@ def spectral(made):
     light = illuminate(view, texels, made)
 
     def picture(iris):
-        response = checked_response(made.integrator, iris, index, bands, Scales())
+        response = solve_response(made.integrator, iris, index, bands, Scales())
         return shade(view, texels, light, response)
 
     return picture
