@@ -23,18 +23,21 @@ def fill_by_texture(
     cells = np.moveaxis(layers, 0, -1)
     smooth = fill_holes(cells, hidden)
     scale = np.maximum(cells[~hidden].std(0), 1e-6)
-    filled, turns = smooth.copy(), np.arange(1, _TURNS) * len(hidden) // _TURNS
+    filled, turns = smooth.copy(), [i * len(hidden) // _TURNS for i in range(1, _TURNS)]
     for rows, columns, region in _regions(hidden):
         box = np.ix_(rows % len(hidden), columns)
         border = morphology.dilation(region, np.ones((2 * _BORDER + 1,) * 2, bool)) & ~hidden[box]
         inside, edge = ((rows[r], columns[c]) for r, c in map(np.nonzero, (region, border)))
-        here, unlike = smooth[edge[0] % len(hidden), edge[1]], []
-        for turn in turns:
+        here = smooth[edge[0] % len(hidden), edge[1]]
+        # A place that is itself hidden is the last choice.
+        unseen = [int(hidden[(inside[0] - t) % len(hidden), inside[1]].sum()) for t in turns]
+
+        def unlike(turn: int, here=here, edge=edge) -> float:
             away = ((here - smooth[(edge[0] - turn) % len(hidden), edge[1]]) / scale) ** 2
-            # A place that is itself hidden is the last choice.
-            unseen = float(hidden[(inside[0] - turn) % len(hidden), inside[1]].mean())
-            unlike.append((unseen, float(away.mean()) if border.any() else 0.0))
-        turn = turns[min(range(len(turns)), key=unlike.__getitem__)]
+            return float(away.mean()) if len(here) else 0.0
+
+        shown = [t for t, count in zip(turns, unseen, strict=True) if count == min(unseen)]
+        turn = min(shown, key=unlike)
         turned = smooth[np.ix_((rows - turn) % len(hidden), columns)]
         if not region.all():
             turned = turned + fill_holes(smooth[box] - turned, region)
