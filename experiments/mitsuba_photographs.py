@@ -42,7 +42,7 @@ from irisjax.measure.colour import srgb_encode
 from irisjax.photo.photograph import Ellipse, ellipse_through
 from irisjax.render.bands import colour_bands
 from irisjax.render.camera import Camera
-from irisjax.render.outside import colour_table, vein_depth_at
+from irisjax.render.outside import colour_table, sample_veins
 from irisjax.render.surfaces import GlobeSurface
 
 FOLDER = Path(__file__).parent.parent / "data" / "photographs" / "volumetric"
@@ -574,7 +574,7 @@ def _white_colours(eye: Eye, points: np.ndarray, seed: int) -> np.ndarray:
     grown = veins(eye, shape=(2048, 768), key=jax.random.key(seed))
     assert grown is not None
     place = GlobeSurface(eye).place(jnp.asarray(points))
-    found = np.asarray(_white_table(eye)(vein_depth_at(grown, *place)))
+    found = np.asarray(_white_table(eye)(sample_veins(grown, *place)))
     aside = np.clip((np.abs(points[:, :1]) - 7) / 4, 0, 1)
     return np.clip(found * (1 - aside * [0.05, 0.18, 0.2]), 0, 1)
 

@@ -27,7 +27,7 @@ from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
 from irisjax.render.outside import Blood, colour_table
 from irisjax.render.points import project_points
-from irisjax.render.refraction import enter
+from irisjax.render.refraction import refract_to_iris
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.render.surfaces import IrisSurface
@@ -149,7 +149,7 @@ def _towards(camera: Camera, matt: Matt) -> np.ndarray:
     middle = jnp.asarray([height // 2 * width + width // 2])
     origin, direction = camera.towards(middle, eye)
     distance, _ = eye.cornea.anterior.intersect(origin, direction)
-    exits = enter(eye, origin + distance[:, None] * direction, direction).direction[0, 2]
+    exits = refract_to_iris(eye, origin + distance[:, None] * direction, direction).direction[0, 2]
     texels = Scales(*(None if s is None else s.ravel() for s in matt.scales))
     one = jnp.ones(matt.shape[0] * matt.shape[1])
     found = jnp.pi * matt.response.brdf(texels, one, exits * one, 0 * one)

@@ -115,9 +115,9 @@ def kept_tables(scene: "Scene") -> "Illumination | None":
 
 def tables_key(eye: "Eye", caustics: bool, code: str) -> str:
     """Name of an eye's tables: SHA-256 of all that they depend on, precision and code included."""
-    from irisjax.render.illumination import deciding
+    from irisjax.render.illumination import canonical_eye
 
-    leaves, structure = jax.tree.flatten(deciding(eye))
+    leaves, structure = jax.tree.flatten(canonical_eye(eye))
     values = [(str(x.dtype), x.shape, x.tobytes()) for x in map(np.asarray, leaves)]
     about = code, caustics, str(jax.numpy.result_type(float)), str(structure), values
     return hashlib.sha256(repr(about).encode()).hexdigest()

@@ -24,7 +24,7 @@ from irisjax.numerics.interpolation import polar_bilinear, smoothstep
 from irisjax.optics.conicoid import from_parts
 from irisjax.render.project import IrisPixels
 from irisjax.render.scene import Scene
-from irisjax.render.shading import relief_of, shares, textures_at, tilted
+from irisjax.render.shading import camera_share, facing_at, relief_field, sample_textures
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -197,11 +197,11 @@ def _iris_seen(
     x, y = _square(side, eye.iris_radius)
     one = jnp.ones_like(x)
     pixels = IrisPixels(None, (x, y, eye.iris_depth * one), (0 * x, 0 * x, one), one, one)
-    found = textures_at(pixels, eye, jnp.moveaxis(textures, -1, 0))
+    found = sample_textures(pixels, eye, jnp.moveaxis(textures, -1, 0))
     (u, v, w), sky = (0 * x, 0 * x, -one), one
     if relief is not None:
-        (u, v, w), sky = tilted(pixels, eye.replace(iris_slope=None), relief_of(relief, eye))
-    every = found, jnp.stack([u, v, -w]), shares(pixels, eye)[None], sky[None]
+        (u, v, w), sky = facing_at(pixels, eye.replace(iris_slope=None), relief_field(relief, eye))
+    every = found, jnp.stack([u, v, -w]), camera_share(pixels, eye)[None], sky[None]
     found, normal, share, sky = (_rows(values, side) for values in every)
     return found, normal, share, sky
 

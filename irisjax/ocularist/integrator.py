@@ -28,7 +28,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator, AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Facing, Front, flux_at, fluxes_of
+from irisjax.render.shading import Facing, IrisModel, flux_at, incident_flux
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import Scales
 
@@ -60,7 +60,7 @@ class Painted(AbstractIntegrator):
         self,
         pixels: IrisPixels,
         lights: Lights,
-        front: Front,
+        front: IrisModel,
         tables: Illumination | None,
         facing: Facing | None,
     ) -> Float[Array, "3 pixels"]:
@@ -73,7 +73,7 @@ class Painted(AbstractIntegrator):
     ) -> "PaintBase":
         """Compute everything that does not depend on the coats."""
         extent = _Extent(self.painting.profile, eye.iris_radius, eye.pupil_margin)
-        flux = fluxes_of(lights, eye, tables)
+        flux = incident_flux(lights, eye, tables)
         seen, state = _geometry(pixels, extent, eye, flux)
         return PaintBase(seen, state, *_above_all(flux, extent.reach, SHADOW), lights.tint, extent)
 

@@ -15,7 +15,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.project import View, onto_picture
 from irisjax.render.scene import ENVIRONMENT_LIGHTS
-from irisjax.render.shading import fluxes_of
+from irisjax.render.shading import incident_flux
 
 _LEAST = 5  # pixels of a highlight
 _MOST = 6  # lamps
@@ -120,7 +120,7 @@ def light_at(
     x: np.ndarray, y: np.ndarray, lights: Lights, eye: Eye, tables: Illumination | None
 ) -> np.ndarray:
     """Return the irradiance of the iris at places of its plane (mm), in the chamber."""
-    flux = np.asarray(fluxes_of(lights, eye, tables))[:, 2].sum(0)
+    flux = np.asarray(incident_flux(lights, eye, tables))[:, 2].sum(0)
     middle, reach = (len(flux) - 1) / 2, float(eye.iris_radius)
     # Rows of the grid run up, as y does.
     return sampled(flux.astype(np.float32), *((c / reach + 1) * middle for c in (y, x)))

@@ -34,7 +34,7 @@ from irisjax.render import polynomials as products
 from irisjax.render.illumination import Illumination
 from irisjax.render.project import View, onto_picture
 from irisjax.render.scene import Scene
-from irisjax.render.shading import Front, ranges_of
+from irisjax.render.shading import IrisModel, scale_ranges
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 
@@ -184,7 +184,7 @@ def colour_iris(
     shape, iris, seen = known.shape, scene.tissue, view.iris
     integrator: Any = scene.integrator
     assert seen is not None
-    front = Front(scene.eye, iris, IrisMaps())
+    front = IrisModel(scene.eye, iris, IrisMaps())
     _, exits = integrator.texels(seen, front, Scales())
     shone = integrator.illuminate(seen, scene.all_lights(), front, tables, None)
     light, mixtures = shone
@@ -193,7 +193,7 @@ def colour_iris(
 
     # Ranges of the number types that those of the maps will have, so that one program serves both.
     small = jnp.ones((2, 2), jnp.float32)
-    alike = ranges_of(iris, IrisMaps(stroma_depth=small, eumelanin=small, pheomelanin=small))
+    alike = scale_ranges(iris, IrisMaps(stroma_depth=small, eumelanin=small, pheomelanin=small))
 
     def respond(ranges: Scales, scene: Scene = scene) -> TexelResponse:
         ranges = jax.tree.map(lambda r, of: jnp.asarray(r, of.dtype), ranges, alike)
@@ -239,7 +239,7 @@ def colour_iris(
     # Last of all with the very table of the picture: its errors count where the iris is dark.
     logs = polar(found.logs - middle, known)
     ends = [f(logs, axis=(1, 2), keepdims=True) for f in (np.min, np.max)]
-    ranges = ranges_of(iris, maps_of(logs))
+    ranges = scale_ranges(iris, maps_of(logs))
     response = respond(ranges, scene.replace(iris=iris))
     found = polish(levels[0], found.logs - middle, response, exposure, gain, doubt)
     logs = np.clip(polar(found.logs, known), *ends)

@@ -23,12 +23,12 @@ from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import solve_response
 from irisjax.render.lights import Lights
-from irisjax.render.outside import room_at
+from irisjax.render.outside import mirrored_environment
 from irisjax.render.project import IRIS, SCLERA, IrisPixels, View, onto_picture
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS
 from irisjax.render.separable import Separable
-from irisjax.render.shading import Front, ranges_of
+from irisjax.render.shading import IrisModel, scale_ranges
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 from irisjax.transport.solution import RESULTS
@@ -133,7 +133,7 @@ class Windows(eqx.Module):
         its own, seen and lit from the front.
         """
         spots = IrisMaps(freckles=jnp.asarray([shares, shares], float))
-        ranges = self.ranges._replace(abl=ranges_of(iris, spots).abl)
+        ranges = self.ranges._replace(abl=scale_ranges(iris, spots).abl)
         dark = spots.abl_scale(iris)
         assert dark is not None
         both = Scales(abl=dark[0], stroma=jnp.ones_like(dark[0]))
@@ -164,7 +164,7 @@ def windows_of(
     need caustics. For the pixels of each window the maps may be turned to `TURNS` places around the
     eye: the window then shows what is usual at its distance from the pupil.
     """
-    ranges = ranges_of(iris, maps)
+    ranges = scale_ranges(iris, maps)
     bands = colour_bands(lights.illuminant, cornea=eye.cornea)
     made: Any = integrator.prepare(iris, eye.aqueous_index, bands, ranges)
     known = eye, iris, maps, tables, ranges, bands, made
@@ -261,11 +261,11 @@ def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integr
     one = response.coefficients[..., :1]
     share = jnp.maximum(jnp.zeros(COUNT).at[window].add(1.0, mode="drop"), 1.0)
 
-    facing = Front(eye, iris, maps).facing(seen)
+    facing = IrisModel(eye, iris, maps).facing(seen)
 
     def placed(log_scale):
         thicker = maps.replace(stroma_depth=maps.stroma_depth * jnp.exp(log_scale))
-        front = Front(eye, iris, thicker)
+        front = IrisModel(eye, iris, thicker)
         texels = integrator.texels(seen, front, ranges)
         light = integrator.illuminate(seen, lights, front, tables, facing)
         return eqx.partition((texels, light), eqx.is_inexact_array)
@@ -309,7 +309,7 @@ def _tear_film(view: View, shape: tuple[int, int], environment: Environment | No
     reflectance = np.asarray(mirror.reflectance)
     room = np.zeros((len(reflectance), 3))
     if environment is not None:
-        room = reflectance[:, None] * np.asarray(room_at(mirror, environment)).T
+        room = reflectance[:, None] * np.asarray(mirrored_environment(mirror, environment)).T
     return onto_picture(mirror, reflectance, shape), onto_picture(mirror, room, shape)
 
 

@@ -17,7 +17,7 @@ from irisjax.optics.conicoid import dot, from_parts, norm
 from irisjax.optics.fresnel import fresnel, refract
 from irisjax.render.polynomials import chebyshev_coefficients, chebyshev_polynomials
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Facing, flux_at, hidden_by, normal_at, shares
+from irisjax.render.shading import Facing, camera_share, flux_at, hiding_factor, normal_at
 from irisjax.tissue.iris import Iris
 from irisjax.transport.light import Directions
 
@@ -193,7 +193,7 @@ def light_moments(
         cosine = -dot(towards, flat)
         lit = (power > 0) & (cosine > 0)
         if facing is not None:
-            irradiance *= facing.left_of(hidden_by(cosine, eye))
+            irradiance *= facing.unshadowed(hiding_factor(cosine, eye))
         # The line of sight points into the eye, against the light that leaves.
         across = -(dot(towards, view) - dot(towards, flat) * dot(view, flat))
         values = angles.functions(jnp.where(lit, cosine, 1.0), pixels.cosine, across)
@@ -202,7 +202,7 @@ def light_moments(
     shape = tints.shape[1], len(angles.coefficient_scales()), pixels.cosine.size
     total = jax.lax.scan(add, jnp.zeros(shape, flux.dtype), (flux, tints))[0]
     total = total if mixtures is None else jnp.einsum("kr,tkp->trp", mixtures, total)
-    return total * shares(pixels, eye)
+    return total * camera_share(pixels, eye)
 
 
 @eqx.filter_jit

@@ -1,5 +1,5 @@
-"""Environments: light from all directions in a latitude-longitude map, and the lights that stand
-for it.
+"""Environments: light from all directions in a latitude-longitude map, and the lights that
+approximate it.
 """
 
 import heapq
@@ -25,15 +25,14 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 class Environment(eqx.Module):
     """Light at infinity from every direction, as a panorama taken at the eye's place.
 
-    `radiance`: linear sRGB (D65 is white) of shape (rows, columns, 3), in units in which a white
-    sheet lit by irradiance π has radiance 1. Rows run from straight up (+y) down, in equal polar
-    angles. The middle of the columns lies straight ahead of the eye (−z); as in any panorama,
-    columns to the right of it are what somebody who looks out of the eye sees on the right: the
-    side of −x, since +x is the right of a viewer who faces the eye. A value holds at the centre of
-    its texel.
+    Rows run from straight up (+y) down, in equal polar angles. The middle of the columns lies
+    straight ahead of the eye (−z); as in any panorama, columns to the right of it are what somebody
+    who looks out of the eye sees on the right: the side of −x, since +x is the right of a viewer
+    who faces the eye.
 
     Attributes:
-        radiance: Linear sRGB of each texel.
+        radiance: Linear sRGB (D65 is white) at the centre of each texel, in units in which a white
+            sheet lit by irradiance π has radiance 1.
 
     Raises:
         ValueError: The shape is another, or a value is negative or not finite.
@@ -59,11 +58,10 @@ class Environment(eqx.Module):
 
     @classmethod
     def studio(cls, rows: int = 128) -> "Environment":
-        """An invented portrait studio: grey room, key softbox up on the left, dim fill on the
-        right, strip behind.
+        """Make an invented portrait studio: a grey room with a key softbox up on the left, a dim
+        fill light on the right and a strip light behind.
 
-        Left and right as the viewer sees. It lights a white sheet that faces out to a radiance of
-        about 1. Nothing in it was measured; it is for trying things out.
+        Left and right are the viewer's. A white sheet that faces out has a radiance of about 1.
         """
         d = _directions(rows, 2 * rows)
         soft = max(np.pi / rows, 0.06)
@@ -76,11 +74,12 @@ class Environment(eqx.Module):
 
     @classmethod
     def window(cls, rows: int = 256) -> "Environment":
-        """An invented dim room with a window of four panes up on the left: a cloudy sky over trees.
+        """Make an invented dim room with a window of four panes up on the left, which shows a
+        cloudy sky over trees.
 
-        Left as the viewer sees. It lights a white sheet that faces out to a radiance of about 1.
-        It is narrower and brighter than the studio's softbox, so that its image in the tear film
-        is white beside an iris.
+        Left is the viewer's. A white sheet that faces out has a radiance of about 1. The window is
+        narrower and brighter than the studio's softbox, so that its image in the tear film is white
+        beside an iris.
         """
         d = _directions(rows, 2 * rows)
         right, up, shown = _plane(d, (-0.5, 0.62, -1.0))
@@ -97,8 +96,8 @@ class Environment(eqx.Module):
         green = (4 + 9 * leaves**2)[..., None] * np.array([0.9, 1.1, 0.55])
         outside = (1 - trees) * sky + trees * green
         room = (0.03 + 0.015 * d[..., 1:2]) * np.array([1.05, 1.0, 0.92])
-        seen = (panes * (1 - bars))[..., None]
-        return cls((1 - seen) * room + seen * outside)
+        window_share = (panes * (1 - bars))[..., None]
+        return cls((1 - window_share) * room + window_share * outside)
 
     @classmethod
     def sky(
@@ -109,12 +108,14 @@ class Environment(eqx.Module):
         sun: float = 4.0,
         rows: int = 128,
     ) -> "Environment":
-        """An invented clear day: a blue gradient, a white horizon, a grey-green floor and a blurred
-        sun.
+        """Make an invented clear day: a blue gradient, a white horizon, a grey-green floor and a
+        blurred sun. It is a picture of a sky, no model of the atmosphere.
 
-        `sun_polar`, `sun_azimuth`: as of `Lights.distant`, from −z and from +x to +y, radians;
-        below the horizon nothing hides it. `sun`: its irradiance on a surface that faces it; its
-        glare spans about two texels. It is a picture of a sky, no model of the atmosphere.
+        Args:
+            sun_polar: Polar angle of the sun from −z, radians; below the horizon nothing hides it.
+            sun_azimuth: Azimuth of the sun from +x to +y, radians.
+            sun: Irradiance by the sun of a surface that faces it; its glare spans about two texels.
+            rows: Number of rows of the map.
         """
         d = _directions(rows, 2 * rows)
         up = d[..., 1:2]
@@ -130,14 +131,13 @@ class Environment(eqx.Module):
 
     @classmethod
     def uniform(cls, radiance: ArrayLike = 1.0, *, rows: int = 32) -> "Environment":
-        """The same white light from everywhere, which a white sheet in it returns."""
+        """Make white light of one radiance from everywhere, which a white sheet in it also has."""
         return cls(jnp.full((rows, 2 * rows, 3), radiance, jnp.result_type(float)))
 
     def lookup(self, direction: ArrayLike) -> Float[Array, "*s 3"]:
-        """Radiance (..., 3) from directions (..., 3) out of the eye, of any length; linear between
-        texels.
+        """Interpolate the radiance (..., 3) from directions (..., 3) out of the eye, of any length.
 
-        Continuous everywhere: at the poles it meets the mean of the outermost row.
+        It is continuous everywhere: at the poles it is the mean of the outermost row.
         """
         rows, columns = self.radiance.shape[:2]
         direction = as_float(direction)
@@ -153,7 +153,7 @@ class Environment(eqx.Module):
         top, bottom = (jnp.broadcast_to(self.radiance[i].mean(0), (1, columns, 3)) for i in (0, -1))
         table = jnp.concatenate([top, self.radiance, bottom])
         table = jnp.concatenate([table[:, -1:], table, table[:, :1]], axis=1)
-        # Computed once: XLA may round an azimuth differently for an index and for its weight, which
+        # Materialised: XLA may round an azimuth differently for an index and for its weight, which
         # would then belong to different texels.
         r, c = materialise((r, c))
         return multilinear(table, (r, c))
@@ -161,7 +161,7 @@ class Environment(eqx.Module):
     def to_lights(
         self, n: int = 64, *, largest_polar: float | None = LARGEST_POLAR, illuminant: str = "D65"
     ) -> Lights:
-        """At most `n` distant lights that stand for the map, by median cut [Debevec 2005].
+        """Approximate the map by at most `n` distant lights, by median cut  [Debevec 2005].
 
         The region with most luminous power × extent is cut next, across its longer side, where its
         power halves. Each region gives one light, with its whole power (`irradiance` × `tint` in
@@ -204,12 +204,12 @@ class Environment(eqx.Module):
 
 
 def _median_cut(power: np.ndarray, n: int) -> list[tuple[slice, slice]]:
-    """At most n boxes of texels that hold all the power, none of them empty."""
-    # As shares, and rounded: of regions that are equal but for rounding the first is taken,
+    """Divide the map into at most n boxes of texels that hold all the power, none of them empty."""
+    # Shares of the power are rounded, so that of regions equal but for rounding the first is cut,
     # whatever the unit of power.
     power = power / power.sum()
     rows, columns = power.shape
-    # The number settles draws, always alike.
+    # The count breaks ties in the order of insertion.
     heap: list[tuple[float, int, tuple[slice, slice]]] = []
 
     def sides(r: slice, c: slice) -> tuple[float, float]:
@@ -232,7 +232,7 @@ def _median_cut(power: np.ndarray, n: int) -> list[tuple[slice, slice]]:
         higher = height > (1 - 1e-9) * width
         across = r.stop - r.start > 1 and (higher or c.stop - c.start == 1)
         running = power[r, c].sum(1 if across else 0).cumsum()
-        # Nearest to one half, with something left on both sides: the box is as tight as it can be.
+        # Cut nearest to half the power; the box is tight, so that both sides hold some.
         cut = 1 + int(np.abs(running[:-1] / running[-1] - 0.5).round(9).argmin())
         s = r if across else c
         for half in (slice(s.start, s.start + cut), slice(s.start + cut, s.stop)):
@@ -241,7 +241,7 @@ def _median_cut(power: np.ndarray, n: int) -> list[tuple[slice, slice]]:
 
 
 def _directions(rows: int, columns: int) -> np.ndarray:
-    """Unit vectors to the texels' centres, shape (rows, columns, 3)."""
+    """Return unit vectors to the texels' centres, shape (rows, columns, 3)."""
     polar = (np.arange(rows) + 0.5)[:, None] * np.pi / rows
     azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
     y = np.broadcast_to(np.cos(polar), (rows, columns))
@@ -251,7 +251,7 @@ def _directions(rows: int, columns: int) -> np.ndarray:
 
 
 def _solid_angles(rows: int, columns: int) -> np.ndarray:
-    """Solid angles of the texels, shape (rows, columns)."""
+    """Compute the solid angles of the texels, shape (rows, columns)."""
     edges = np.cos(np.arange(rows + 1) * np.pi / rows)
     return np.broadcast_to((-np.diff(edges))[:, None] * 2 * np.pi / columns, (rows, columns))
 
@@ -270,13 +270,15 @@ def _plane(direction: np.ndarray, centre) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 def _within(place: np.ndarray, half: float, soft: float) -> np.ndarray:
-    """1 between -half and half, 0 beyond, with a soft edge."""
+    """Return 1 between -half and half and 0 beyond, with a soft edge."""
     inside = np.clip(0.5 + (half - np.abs(place)) / soft, 0, 1)
     return inside * inside * (3 - 2 * inside)
 
 
 def _panel(direction: np.ndarray, centre, half, soft: float) -> np.ndarray:
-    """A softbox that faces the eye, 1 in its middle; `half` sides and `soft` edge as tangents."""
+    """Draw a softbox that faces the eye, 1 in its middle; `half` sides and `soft` edge are
+    tangents.
+    """
     right, up, shown = _plane(direction, centre)
     across, along = half
     off = (right / across) ** 2 + (up / along) ** 2

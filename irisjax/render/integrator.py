@@ -11,7 +11,7 @@ from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Facing, Front
+from irisjax.render.shading import Facing, IrisModel
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import Scales
 from irisjax.transport.process import AbstractProcess
@@ -51,18 +51,18 @@ class AbstractIntegrator(eqx.Module):
         del iris, aqueous_index, bands, ranges
         return self
 
-    def texels(self, pixels: IrisPixels, front: Front, ranges: Scales) -> Any:
+    def texels(self, pixels: IrisPixels, model: IrisModel, ranges: Scales) -> Any:
         """Look up the iris's maps at each pixel, which depends neither on light nor on pigments.
         `ranges` are those of the response.
         """
-        del pixels, front, ranges
+        del pixels, model, ranges
 
     @abc.abstractmethod
     def illuminate(
         self,
         pixels: IrisPixels,
         lights: Lights,
-        front: Front,
+        model: IrisModel,
         tables: Illumination | None,
         facing: Facing | None,
     ) -> Any:

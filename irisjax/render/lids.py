@@ -1,8 +1,7 @@
-"""Lids in a picture: what a camera sees of them, how they are lit, and the light that they keep
-from the eye.
+"""Lids in a picture: what a camera sees of them, how they are lit, and the light that they block.
 
-Skin is matt under a rough sheen; what is blocked comes back as light from skin. Lids cast no
-shadows on themselves but at the fold and in the corners, where they are darkened by their shape.
+Skin is matt with a rough sheen; a share of the light that it blocks reaches the eye from the skin.
+Lids cast no shadows on themselves; at the fold and in the corners they are darkened by a formula.
 """
 
 import equinox as eqx
@@ -22,7 +21,7 @@ from irisjax.numerics.roots import safe_sqrt
 from irisjax.numerics.strokes import stamp_strokes, stroke_sections
 from irisjax.optics.conicoid import Parts, Vector, advance, parts
 from irisjax.render.camera import Camera
-from irisjax.render.lights import Lights, wrapped
+from irisjax.render.lights import Lights, wrapped_cosine
 from irisjax.tissue.diffusion import (
     bloodless_absorption,
     diffuse_reflectance,
@@ -33,9 +32,9 @@ from irisjax.tissue.pigments import extinction
 LASH = 0.015
 """Reflectance of a lash."""
 BOUNCE = 0.2
-"""Share of the light that lids keep from the eye which comes back from their skin."""
-_FRONT = -3.0  # z in front of everything but the brow, mm
-_BLEED = 0.35  # cosine by which light reaches past the terminator of skin
+"""Share of the light blocked by lids that reaches the eye from their skin."""
+_START_DEPTH = -3.0  # z at which the search along rays begins, in front of all but the brow, mm
+_WRAP = 0.35  # cosine by which light reaches past the terminator of skin
 
 
 Coordinates = tuple[Float[Array, "..."], ...]
@@ -50,7 +49,7 @@ class LidPixels(eqx.Module):
         point: Point of the lids, mm.
         normal: Unit normal there, with the relief of the skin.
         sight: Direction of the line of sight, into the eye.
-        share: Share of the pixel, less what the fold and the corners keep dark.
+        share: Share of the pixel, times the darkening in the fold and the corners.
         red: Redness of the skin, 0 to 1.
         wet: 1 on the inside of the margin and on the caruncle, 0 on skin.
     """
@@ -67,22 +66,29 @@ class LidPixels(eqx.Module):
 def skin_reflectance(
     wavelengths: ArrayLike, melanin: Scalar, blood: Scalar
 ) -> Float[Array, " wavelengths"]:
-    """Diffuse reflectance of skin [Jacques 2013, Phys. Med. Biol. 58, R37]: a dermis of `blood`
-    (share of volume) under an epidermis of 0.06 mm with `melanin` (share of melanosomes), which
-    light crosses twice at 60°. Wavelengths in nm.
+    """Compute the diffuse reflectance of skin  [Jacques 2013, Phys. Med. Biol. 58, R37].
+
+    A dermis lies under an epidermis of 0.06 mm, which light crosses twice at 60°.
+
+    Args:
+        wavelengths: Wavelengths, nm.
+        melanin: Volume share of melanosomes in the epidermis.
+        blood: Volume share of blood in the dermis.
     """
     x = jnp.asarray(wavelengths, jnp.result_type(float))
     table = extinction(wavelengths)
-    whole = 2.33 * (0.75 * table.oxyhemoglobin + 0.25 * table.deoxyhemoglobin)  # 150 g/l
-    lost = bloodless_absorption(wavelengths) + blood * whole
-    dermis = diffuse_reflectance(lost, 4.6 * (x / 500.0) ** -1.421)
+    blood_absorption = 2.33 * (0.75 * table.oxyhemoglobin + 0.25 * table.deoxyhemoglobin)  # 150 g/l
+    absorption = bloodless_absorption(wavelengths) + blood * blood_absorption
+    dermis = diffuse_reflectance(absorption, 4.6 * (x / 500.0) ** -1.421)
     return dermis * jnp.exp(-4 * 0.06 * melanin * melanosome_absorption(wavelengths))
 
 
 def lid_colours(
     lids: Lids, wavelengths: ArrayLike, weights: Float[Array, "channels bands"]
 ) -> Float[Array, "3 channels"]:
-    """Channels of pale skin, of flushed skin, and of the wet conjunctiva, which has no melanin."""
+    """Compute the channels of pale skin, of flushed skin, and of the wet conjunctiva, which has no
+    melanin.
+    """
     kinds = (
         (lids.melanin, 0.7 * lids.blood),
         (1.1 * lids.melanin, 3 * lids.blood),
@@ -91,10 +97,10 @@ def lid_colours(
     return jnp.stack([skin_reflectance(wavelengths, *kind) for kind in kinds]) @ weights.T
 
 
-def lashes_seen(eye: Eye, camera: Camera) -> Float[Array, " pixels"] | None:
-    """Share of each pixel of a camera that lashes cover.
+def lash_coverage(eye: Eye, camera: Camera) -> Float[Array, " pixels"] | None:
+    """Compute the share of each pixel of a camera that lashes cover; `None` without lashes.
 
-    Where the camera is traced its field must be 15 mm wide or more.
+    A camera that JAX traces must have a field 15 mm wide or more.
     """
     if eye.lids is None or eye.lids.lashes is None:
         return None
@@ -110,12 +116,12 @@ def lashes_seen(eye: Eye, camera: Camera) -> Float[Array, " pixels"] | None:
 
 
 def meet_lids(eye: Eye, origin: Vector, direction: Vector) -> Float[Array, " pixels"]:
-    """Distance along rays to the lids, mm, by steps from height to height."""
+    """Compute the distance along rays to the lids, mm, by fixed-point steps in depth."""
     assert eye.lids is not None
     lids, centre = eye.lids, sclera_centre(eye)
     (x0, y0, z0), (dx, dy, dz) = parts(origin), parts(direction)
     slow = jnp.maximum(dz, 0.1)
-    t = (_FRONT - z0) / slow
+    t = (_START_DEPTH - z0) / slow
     for k in range(8):
         x, y = x0 + t * dx, y0 + t * dy
         height = lids.skin_depth(x, y, centre) if k < 3 else lids.depth(x, y, centre)
@@ -125,17 +131,17 @@ def meet_lids(eye: Eye, origin: Vector, direction: Vector) -> Float[Array, " pix
 
 @pixelwise
 def lid_pixels(index: Array, eye: Eye, camera: Camera) -> LidPixels:
-    """Pixels of these numbers as those that see lids."""
+    """Trace pixels of these numbers to the lids."""
     lids, centre = eye.lids, sclera_centre(eye)
     assert lids is not None
     origin, direction = camera.towards(index, eye)
     point = advance(origin, meet_lids(eye, origin, direction), direction)
     x, y, _ = parts(point)
-    at = lids.edge(x, y)
+    edge = lids.edge(x, y)
     u, v, w = lids.normal(x, y, centre)
-    wet = smoothstep((0.6 * EDGE_WIDTH - at.outside) / 0.5 + 0.5)
-    red = 0.2 + 0.35 * jnp.exp(-jnp.maximum(at.outside - 0.5, 0) / 2.5)
-    red = red + 0.3 * jnp.exp(-jnp.abs(at.along - 1) * 6)
+    wet = smoothstep((0.6 * EDGE_WIDTH - edge.outside) / 0.5 + 0.5)
+    red = 0.2 + 0.35 * jnp.exp(-jnp.maximum(edge.outside - 0.5, 0) / 2.5)
+    red = red + 0.3 * jnp.exp(-jnp.abs(edge.along - 1) * 6)
     if lids.skin is not None:
         row, column = ((c / FACE + 1) * (lids.skin.shape[1] / 2) - 0.5 for c in (y, x))
         slope_x, slope_y, blotch = bilinear(lids.skin, row, column)
@@ -143,9 +149,9 @@ def lid_pixels(index: Array, eye: Eye, camera: Camera) -> LidPixels:
         length = jnp.sqrt(u * u + v * v + w * w)
         u, v, w = u / length, v / length, w / length
         red = red + 0.3 * blotch
-    arch = jnp.maximum(1 - at.along * at.along, 0.0)
-    over = at.upper - (1.1 + 3.0 * arch)
-    dark = 0.5 * jnp.exp(-((over / 0.45) ** 2)) + 0.35 * smoothstep(-at.outside / 2.0)
+    arch = jnp.maximum(1 - edge.along * edge.along, 0.0)
+    over = edge.upper - (1.1 + 3.0 * arch)
+    dark = 0.5 * jnp.exp(-((over / 0.45) ** 2)) + 0.35 * smoothstep(-edge.outside / 2.0)
     normal = u, v, w
     return LidPixels(
         index, parts(point), normal, parts(direction), 1 - dark, jnp.clip(red, 0, 1), wet
@@ -153,95 +159,106 @@ def lid_pixels(index: Array, eye: Eye, camera: Camera) -> LidPixels:
 
 
 @pixelwise
-def lid_colour(
+def lid_base_colour(
     pixels: LidPixels, colours: Float[Array, "3 channels"]
 ) -> Float[Array, "channels pixels"]:
-    """Channels of the lids where pixels see them, in light of irradiance π."""
+    """Compute the channels of the lids at pixels, in light of irradiance π."""
     pale, flushed, inner = colours[:, :, None]
     skin = pale + pixels.red * (flushed - pale)
     return skin + pixels.wet * (inner - skin)
 
 
 @pixelwise
-def lids_lit(
-    pixels: tuple[LidPixels, Float[Array, "channels pixels"]],
+def lid_radiance(
+    pixels_and_colour: tuple[LidPixels, Float[Array, "channels pixels"]],
     lights: Lights,
     lamp: Float[Array, " channels"],
 ) -> Float[Array, "channels pixels"]:
-    """Radiance of lids, from their `lid_colour`: skin and its sheen, sharper where it is wet."""
-    seen, colour = pixels
-    towards, irradiance = lights.seen_from(seen.point)
-    cosine = jnp.asarray(sum(n * t for n, t in zip(seen.normal, towards, strict=True)))
-    power, tint = irradiance * wrapped(cosine, _BLEED), lights.factors
-    half = [t - s for t, s in zip(towards, seen.sight, strict=True)]
-    length = safe_sqrt(jnp.asarray(sum(h * h for h in half)))
-    upright = sum(h * n for h, n in zip(half, seen.normal, strict=True)) / (length + 1e-6)
+    """Compute the radiance of lids from their `lid_base_colour`: matt skin with a sheen, which is
+    sharper where it is wet. `lamp` is a lamp of radiance 1 in the picture's channels.
+    """
+    pixels, colour = pixels_and_colour
+    towards, irradiance = lights.incident_at(pixels.point)
+    cosine = jnp.asarray(sum(n * t for n, t in zip(pixels.normal, towards, strict=True)))
+    power, tint = irradiance * wrapped_cosine(cosine, _WRAP), lights.tint_factors
+    halfway = [t - s for t, s in zip(towards, pixels.sight, strict=True)]
+    length = safe_sqrt(jnp.asarray(sum(h * h for h in halfway)))
+    upright = sum(h * n for h, n in zip(halfway, pixels.normal, strict=True)) / (length + 1e-6)
     upright = jnp.clip(upright, 1e-3, 1.0)
-    facing = length / 2  # cosine between the light and the half vector
-    mirror = 0.028 + 0.972 * jnp.maximum(1 - facing, 0.0) ** 5
-    sharp = 14 + 200 * seen.wet
-    sheen = mirror * (sharp + 2) / 8 * jnp.exp(sharp * jnp.log(upright)) * jnp.maximum(cosine, 0.0)
+    cosine_to_halfway = length / 2  # cosine between the light and the half vector
+    fresnel_factor = 0.028 + 0.972 * jnp.maximum(1 - cosine_to_halfway, 0.0) ** 5
+    exponent = 14 + 200 * pixels.wet
+    sheen = (
+        fresnel_factor
+        * (exponent + 2)
+        / 8
+        * jnp.exp(exponent * jnp.log(upright))
+        * jnp.maximum(cosine, 0.0)
+    )
     matt = colour * (tint.T @ power)
-    return (matt + lamp[:, None] * (tint.T @ (irradiance * sheen))) * (seen.share / jnp.pi)
+    return (matt + lamp[:, None] * (tint.T @ (irradiance * sheen))) * (pixels.share / jnp.pi)
 
 
-def in_front(lights: Lights, lamp: Float[Array, " channels"]) -> Float[Array, " channels"]:
-    """Irradiance on a surface that faces out of the face."""
+def frontal_irradiance(
+    lights: Lights, lamp: Float[Array, " channels"]
+) -> Float[Array, " channels"]:
+    """Compute the irradiance of a surface that faces out of the face."""
     power = lights.irradiance * jnp.maximum(-lights.towards[:, 2], 0.0)
-    return lamp * (lights.factors.T @ power)
+    return lamp * (lights.tint_factors.T @ power)
 
 
-def let_in(
+def lid_visibility(
     eye: Eye, point: Coordinates, towards: Coordinates, spread: Float[Array, "..."] | float
 ) -> Float[Array, "..."]:
-    """Share of the light from unit directions that lids and lashes let through to points of the
-    eye. `spread` is the half angle of the light, radians, which softens their shadow.
+    """Compute the share of light from unit directions that passes lids and lashes to points of the
+    eye. `spread` is the light's angular radius, radians, which softens their shadow.
     """
     lids, centre = eye.lids, sclera_centre(eye)
     assert lids is not None
-    x, y, reach = _leaving(point, towards, centre, DOME)
-    at = lids.edge(x, y)
-    soft = 0.25 + reach * jnp.minimum(spread, 0.6)
-    behind = smoothstep((point[2] + reach * towards[2] - centre + 4.0) / 2)
-    shown = (1 - smoothstep(0.5 + at.outside / (2 * soft))) * (1 - behind)
-    return shown * (1 - 0.4 * smoothstep((at.upper + 2.2) / 2.4))
+    x, y, distance = _leave_sphere(point, towards, centre, DOME)
+    edge = lids.edge(x, y)
+    soft = 0.25 + distance * jnp.minimum(spread, 0.6)
+    behind = smoothstep((point[2] + distance * towards[2] - centre + 4.0) / 2)
+    visible = (1 - smoothstep(0.5 + edge.outside / (2 * soft))) * (1 - behind)
+    return visible * (1 - 0.4 * smoothstep((edge.upper + 2.2) / 2.4))
 
 
-def mirrored_past(
+def mirror_visibility(
     eye: Eye, point: Parts, towards: Parts
 ) -> tuple[Float[Array, " pixels"], Float[Array, " pixels"]]:
-    """Shares of what the tear film mirrors that lids, and that lashes, do not hide."""
+    """Compute the shares of what the tear film mirrors that lids, and that lashes, do not hide."""
     lids, centre = eye.lids, sclera_centre(eye)
     assert lids is not None
-    x, y, reach = _leaving(point, towards, centre, DOME)
-    behind = smoothstep((point[2] + reach * towards[2] - centre + 4.0) / 2)
-    past = (1 - smoothstep(0.5 + lids.edge(x, y).outside / 0.5)) * (1 - behind)
+    x, y, distance = _leave_sphere(point, towards, centre, DOME)
+    behind = smoothstep((point[2] + distance * towards[2] - centre + 4.0) / 2)
+    lid_visible = (1 - smoothstep(0.5 + lids.edge(x, y).outside / 0.5)) * (1 - behind)
     if lids.fence is None:
-        return past, jnp.ones_like(past)
-    x, y, _ = _leaving(point, towards, centre, FENCE)
+        return lid_visible, jnp.ones_like(lid_visible)
+    x, y, _ = _leave_sphere(point, towards, centre, FENCE)
     half = lids.fence.shape[0] / 2
     row, column = ((c / FACE + 1) * half - 0.5 for c in (y, x))
-    return past, 1 - bilinear(lids.fence[None], row, column)[0]
+    return lid_visible, 1 - bilinear(lids.fence[None], row, column)[0]
 
 
-def _leaving(point: Coordinates, towards: Coordinates, centre: Scalar, radius: float):
-    """x and y at which rays from within leave a sphere about the middle of the globe, and their
-    length, mm."""
+def _leave_sphere(point: Coordinates, towards: Coordinates, centre: Scalar, radius: float):
+    """Return x and y at which rays from within leave a sphere round the globe's middle, and their
+    length, mm.
+    """
     x, y, z = point
     u, v, w = towards
     z = z - centre
     along = x * u + y * v + z * w
-    reach = safe_sqrt(jnp.maximum(along**2 - (x * x + y * y + z * z) + radius**2, 0.0)) - along
-    return x + reach * u, y + reach * v, reach
+    distance = safe_sqrt(jnp.maximum(along**2 - (x * x + y * y + z * z) + radius**2, 0.0)) - along
+    return x + distance * u, y + distance * v, distance
 
 
-def meniscus(eye: Eye, point: Vector, normal: Vector) -> Vector:
-    """Normals of the tear film, which climbs the margins in a strip of 0.5 mm."""
+def meniscus_normal(eye: Eye, point: Vector, normal: Vector) -> Vector:
+    """Tilt the normals of the tear film along the lid margins, which it climbs within 0.5 mm."""
     assert eye.lids is not None
     point, normal = materialise((point, normal))
     x, y, _ = parts(point)
-    at = eye.lids.edge(x, y)
-    above, below = (jnp.clip(1 + away / 0.5, 0.0, 1.0) ** 2 for away in (at.upper, at.lower))
+    edge = eye.lids.edge(x, y)
+    above, below = (jnp.clip(1 + away / 0.5, 0.0, 1.0) ** 2 for away in (edge.upper, edge.lower))
     u, v, w = parts(normal)
     v, w = v + 1.2 * (below - above), w - 0.5 * (below + above)
     length = jnp.sqrt(u * u + v * v + w * w)

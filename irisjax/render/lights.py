@@ -20,23 +20,23 @@ LIGHT_LIMITS = {
 }
 """Allowed range of each number of a light."""
 LAMP_DISTANCE = Range(20, np.inf, "mm")
-"""From the cornea of lamps that are near."""
-_UNIT = 1e-4  # by which the length of a direction may differ from one
+"""Allowed distance of near lamps from the corneal apex."""
+_UNIT_TOLERANCE = 1e-4  # by which the length of a direction may differ from one
 
 
 class Lights(eqx.Module):
-    """Any number of lights, made with `distant` or `points` and joined with `+`. One number
-    describes all lights.
+    """Any number of lights, made with `distant` or `points` and joined with `+`. A single number
+    holds for all lights.
 
     Attributes:
         towards: Unit vectors from the eye to each light, in the eye's frame (+z into the eye).
-        irradiance: On a surface at the eye that faces the light, outside the cornea; π lights a
-            white sheet to radiance 1.
+        irradiance: Irradiance of a surface at the eye, outside the cornea, that faces the light; π
+            lights a white sheet to radiance 1.
         tint: Factors on linear sRGB; `None` for the illuminant's own colour.
         distance: Distance from the corneal apex, mm; `None` for lights at infinity.
-        radius: Half the angle under which the eye sees each light, radians, which decides the
-            mirror image. That of a lamp is at most π/2.
-        illuminant: Spectrum of all of them, by colour-science's name.
+        radius: Angular radius of each light as seen from the eye, radians, which is that of its
+            mirror image; at most π/2 for a lamp.
+        illuminant: Spectrum of all lights, by colour-science's name.
 
     Raises:
         ValueError: A direction is not a unit vector, or a number is negative, not finite or out of
@@ -60,8 +60,8 @@ class Lights(eqx.Module):
         radius: Reals = 0.03,
         illuminant: str = "D65",
     ) -> "Lights":
-        """Lights at infinity: `polar` angles from the eye's axis and `azimuth` from +x to +y,
-        radians.
+        """Make lights at infinity, at `polar` angles from the eye's axis and `azimuth` from +x to
+        +y, radians.
         """
         polar, azimuth, irradiance, radius = jnp.broadcast_arrays(
             *(jnp.atleast_1d(as_float(v)) for v in (polar, azimuth, irradiance, radius))
@@ -78,12 +78,12 @@ class Lights(eqx.Module):
         radius: Reals = 0.03,
         illuminant: str = "D65",
     ) -> "Lights":
-        """Lights at places (lights, 3), mm in the eye's frame, 20 or more from the apex, where
-        `irradiance` is theirs.
+        """Make lights at positions (lights, 3), mm in the eye's frame, 20 or more from the apex, at
+        which they give `irradiance`.
 
-        Irradiance of the iris within 1 % from 50 mm on and up to 57° off the axis, within 10 % at
-        20 mm; caustics are those of a parallel beam, and beyond 80°, where they begin, the picture
-        jumps to it.
+        The iris's irradiance errs by less than 1 % for lamps from 50 mm on and up to 57° off the
+        axis, and by less than 10 % at 20 mm. Beyond 80°, where caustics begin, light is that of a
+        parallel beam: the picture jumps there.
         """
         position = jnp.atleast_2d(as_float(position))
         distance = jnp.sqrt((position**2).sum(-1))
@@ -102,13 +102,17 @@ class Lights(eqx.Module):
             try:  # one number for all lights
                 object.__setattr__(self, name, jnp.broadcast_to(as_float(value), shape))
             except ValueError:
-                got = f"lights: {name} has shape {np.shape(value)}; it must be {shape}"
-                raise ValueError(got) from None
+                message = f"lights: {name} has shape {np.shape(value)}; it must be {shape}"
+                raise ValueError(message) from None
 
     def __check_init__(self) -> None:
         if is_known(self.towards):
             length = np.linalg.norm(np.asarray(self.towards, np.float64), axis=1)
-            check_range("length of a lamp's direction", length, Range(1 - _UNIT, 1 + _UNIT))
+            check_range(
+                "length of a lamp's direction",
+                length,
+                Range(1 - _UNIT_TOLERANCE, 1 + _UNIT_TOLERANCE),
+            )
         for name, allowed in LIGHT_LIMITS.items():
             check_range(f"a lamp's {name}", getattr(self, name), allowed)
         if self.distance is not None and is_known(self.distance):
@@ -125,34 +129,34 @@ class Lights(eqx.Module):
                 f"{other.illuminant}"
             )
 
-        def joined(name, absent=0.0):
+        def join(name, default=0.0):
             values = [getattr(self, name), getattr(other, name)]
-            some = next((v for v in values if v is not None), None)
-            if some is None:
+            given = next((v for v in values if v is not None), None)
+            if given is None:
                 return None
             for k, lights in enumerate((self, other)):
                 if values[k] is None:
-                    values[k] = jnp.full((len(lights), *some.shape[1:]), absent, some.dtype)
+                    values[k] = jnp.full((len(lights), *given.shape[1:]), default, given.dtype)
             return jnp.concatenate(values)
 
-        towards, irradiance, radius = (joined(n) for n in ("towards", "irradiance", "radius"))
-        tint, distance = joined("tint", 1.0), joined("distance", jnp.inf)
+        towards, irradiance, radius = (join(n) for n in ("towards", "irradiance", "radius"))
+        tint, distance = join("tint", 1.0), join("distance", jnp.inf)
         return Lights(towards, irradiance, tint, distance, radius, self.illuminant)
 
     @property
-    def factors(self) -> Float[Array, "lights tints"]:
-        """Factors on the channels of a picture: `tint`, or one of 1 where no light has any."""
+    def tint_factors(self) -> Float[Array, "lights tints"]:
+        """Factors on the channels of a picture: `tint`, or a single 1 for lights without a tint."""
         return jnp.ones((len(self), 1), self.irradiance.dtype) if self.tint is None else self.tint
 
     def polar(self) -> Float[Array, " lights"]:
         """Angle of each light from the axis of the eye, radians."""
         return _polar(self.towards)
 
-    def seen_from(
+    def incident_at(
         self, point: Parts, i: Any = np.s_[:, None]
     ) -> tuple[tuple[Float[Array, "..."], ...], Float[Array, "..."]]:
-        """Unit vectors from points (components, mm) to light `i`, and its irradiance there on a
-        surface that faces it; to all lights by default, (lights, points).
+        """Return unit vectors from points (components, mm) to light `i`, and the irradiance there
+        of a surface that faces it; for all lights by default, (lights, points).
         """
         towards, power = parts(self.towards[i]), self.irradiance[i]
         if self.distance is None:
@@ -169,9 +173,9 @@ def _polar(towards):
     return jnp.arctan2(jnp.hypot(towards[:, 0], towards[:, 1]), -towards[:, 2])
 
 
-def wrapped(cosine: Float[Array, "..."], reach: float) -> Float[Array, "..."]:
-    """Cosine by which light falls on a tissue that carries it past the terminator, down to a cosine
-    of −`reach`. A sphere of it sends back as much light as a matt one.
+def wrapped_cosine(cosine: Float[Array, "..."], reach: float) -> Float[Array, "..."]:
+    """Return the effective cosine of incidence on a translucent tissue, which carries light past
+    the terminator, down to a cosine of −`reach`. A sphere of it reflects as much as a matt one.
     """
-    bent = jnp.maximum(cosine + reach, 0.0) ** 2 / (4 * reach)
-    return jnp.where(cosine > reach, cosine, bent) / (1 + reach**2 / 3)
+    wrapped = jnp.maximum(cosine + reach, 0.0) ** 2 / (4 * reach)
+    return jnp.where(cosine > reach, cosine, wrapped) / (1 + reach**2 / 3)

@@ -24,11 +24,11 @@ from irisjax.render.bands import Bands, colour_bands, spectral_bands
 from irisjax.render.environment import LUMINANCE
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractResponse, solve_response
-from irisjax.render.lids import LASH, in_front, lid_colour, lid_colours, lids_lit
+from irisjax.render.lids import LASH, frontal_irradiance, lid_base_colour, lid_colours, lid_radiance
 from irisjax.render.outside import ColourTable, colour_table
 from irisjax.render.project import IrisPixels, View, look, onto_picture, project
 from irisjax.render.scene import Scene
-from irisjax.render.shading import Facing, Front, ranges_of, textures_at
+from irisjax.render.shading import Facing, IrisModel, sample_textures, scale_ranges
 from irisjax.tissue.maps import Scales
 
 # Bytes for the pixels of a band; the programs and tables beside them take three times that.
@@ -117,11 +117,11 @@ def texture(view: View, scene: Scene) -> Texels:
     white, room, lids, eye = None, None, None, scene.eye
     if view.sclera is not None and eye.sclera is not None:
         table = _sclera_colours(eye.sclera, _spectrum(scene))
-        white = outside.white_colour(view.sclera, eye, table, scene.veins)
+        white = outside.sclera_base_colour(view.sclera, eye, table, scene.veins)
     if view.mirror is not None and scene.environment is not None:
-        room = outside.room_at(view.mirror, scene.environment)
+        room = outside.mirrored_environment(view.mirror, scene.environment)
     if view.lids is not None and eye.lids is not None:
-        lids = lid_colour(view.lids, _lid_colours(eye.lids, _spectrum(scene)))
+        lids = lid_base_colour(view.lids, _lid_colours(eye.lids, _spectrum(scene)))
     return Texels(*iris_texels(view, scene), white, room, _residual(view, scene), lids)
 
 
@@ -131,9 +131,9 @@ def iris_texels(view: View, scene: Scene) -> tuple[Any, Facing | None]:
     """
     if view.iris is None:
         return None, None
-    front = Front(scene.eye, scene.iris, scene.maps)
-    texels = scene.integrator.texels(view.iris, front, ranges_of(scene.iris, scene.maps))
-    return texels, front.facing(view.iris)
+    model = IrisModel(scene.eye, scene.iris, scene.maps)
+    texels = scene.integrator.texels(view.iris, model, scale_ranges(scene.iris, scene.maps))
+    return texels, model.facing(view.iris)
 
 
 def illuminate(
@@ -150,9 +150,9 @@ def illuminate(
     tables = scene.tables() if tables is None else tables
     light = None
     if view.iris is not None:
-        front = Front(scene.eye, scene.iris, scene.maps)
-        lit = view.iris, scene.all_lights(), front, tables, texels.facing
-        light = scene.integrator.illuminate(*lit)
+        model = IrisModel(scene.eye, scene.iris, scene.maps)
+        arguments = view.iris, scene.all_lights(), model, tables, texels.facing
+        light = scene.integrator.illuminate(*arguments)
     return LitView(surroundings(view, texels, scene), light)
 
 
@@ -163,19 +163,21 @@ def surroundings(view: View, texels: Texels, scene: Scene) -> Float[Array, "chan
     if eye.lids is not None or view.sclera is not None:
         every = scene.all_lights(largest_polar=None)
     if eye.lids is not None and every is not None:
-        front = in_front(every, lamp) / jnp.pi
+        front = frontal_irradiance(every, lamp) / jnp.pi
         skin = _lid_colours(eye.lids, _spectrum(scene))[0]
         dim = 0.3 * skin * front
         if view.lids is not None and texels.lids is not None:
-            parts += [(view.lids.index, lids_lit((view.lids, texels.lids), every, lamp))]
+            parts += [(view.lids.index, lid_radiance((view.lids, texels.lids), every, lamp))]
         if view.lashes is not None:
             parts += [(None, LASH * front[:, None] * view.lashes)]
         skin = skin / lamp
     if view.sclera is not None and texels.white is not None and every is not None:
-        white = outside.white((view.sclera, texels.white), every, eye, skin)
+        white = outside.sclera_radiance((view.sclera, texels.white), every, eye, skin)
         parts += [(view.sclera.index, white)]
     if view.mirror is not None:
-        images = outside.mirrored((view.mirror, texels.room), scene.lights, lamp, eye, dim)
+        images = outside.tear_film_radiance(
+            (view.mirror, texels.room), scene.lights, lamp, eye, dim
+        )
         parts += [(view.mirror.index, scene.camera.images * images)]
     dark = jnp.zeros((lamp.size, view.size[0] * view.size[1]), lamp.dtype)
     return _added(dark, parts)
@@ -282,7 +284,7 @@ def draw_bands(
 def _asked(scene: Scene) -> tuple[Any, Any, Bands, Scales]:
     """Iris, index before it, channels and ranges of maps: what a response depends on."""
     bands = _bands(scene.eye.cornea, _spectrum(scene))
-    return scene.iris, scene.eye.aqueous_index, bands, ranges_of(scene.iris, scene.maps)
+    return scene.iris, scene.eye.aqueous_index, bands, scale_ranges(scene.iris, scene.maps)
 
 
 def _residual(view: View, scene: Scene) -> Float[Array, "channels pixels"] | None:
@@ -293,7 +295,7 @@ def _residual(view: View, scene: Scene) -> Float[Array, "channels pixels"] | Non
 
 @pixelwise
 def _residual_at(pixels: IrisPixels, eye: Eye, residual: Array) -> Float[Array, "channels pixels"]:
-    return jnp.stack(textures_at(pixels, eye, tuple(jnp.moveaxis(residual, -1, 0))))
+    return jnp.stack(sample_textures(pixels, eye, tuple(jnp.moveaxis(residual, -1, 0))))
 
 
 def _spectrum(scene: Scene) -> _Spectrum:

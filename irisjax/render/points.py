@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 from irisjax.anatomy.eye import Eye
 from irisjax.optics.conicoid import Vector, dot, norm
 from irisjax.render.camera import Camera
-from irisjax.render.refraction import enter, nearer, on_cornea, reach_of
+from irisjax.render.refraction import cornea_point, newton_step, refract_to_iris, search_radius
 from irisjax.render.surfaces import AbstractSurface, CorneaSurface, GlobeSurface, IrisSurface
 
 _CLOSE = 1e-3  # mm by which a line of sight may miss the point it was searched for
@@ -57,19 +57,19 @@ def _through_cornea(eye: Eye, camera: Camera, target: Float[Array, "3"]):
     """The point of the cornea at which a point of the iris appears, and whether it does."""
     cornea = eye.cornea
     assert cornea is not None
-    reach = reach_of(cornea)
+    reach = search_radius(cornea)
 
     def landing(entry, share):
-        front = on_cornea(cornea, entry)
-        return enter(eye, front, _towards(camera, eye, front, share))
+        front = cornea_point(cornea, entry)
+        return refract_to_iris(eye, front, _towards(camera, eye, front, share))
 
     def newton(entry, share):
-        return nearer(lambda k: landing(k, share).point[:2], entry, target[:2], reach), None
+        return newton_step(lambda k: landing(k, share).point[:2], entry, target[:2], reach), None
 
     # From straight ahead, where the entry is near the point, to the side, step by step.
     shares = jnp.asarray([*np.repeat(np.linspace(0.0, 1.0, _STEPS), 2), *np.ones(6)], target.dtype)
     entry = jax.lax.scan(newton, 0.9 * target[:2], shares)[0]
-    found, front = landing(entry, 1.0), on_cornea(cornea, entry)
+    found, front = landing(entry, 1.0), cornea_point(cornea, entry)
     edge = eye.limbus_radius + (0.0 if eye.sclera is None else eye.limbus_width / 2)
     facing = dot(_towards(camera, eye, front), cornea.anterior.normal(front)) < 0
     close = norm(found.point[:2] - target[:2]) < _CLOSE

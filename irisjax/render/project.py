@@ -27,8 +27,8 @@ from irisjax.optics.conicoid import (
     refract_vector,
 )
 from irisjax.render.camera import Camera
-from irisjax.render.lids import LidPixels, lashes_seen, lid_pixels, meet_lids, meniscus
-from irisjax.render.refraction import enter, on_cornea
+from irisjax.render.lids import LidPixels, lash_coverage, lid_pixels, meet_lids, meniscus_normal
+from irisjax.render.refraction import cornea_point, refract_to_iris
 from irisjax.render.surfaces import CorneaSurface, GlobeSurface, IrisSurface
 
 IRIS, SCLERA, MIRROR, LIDS = 1, 2, 4, 8
@@ -189,7 +189,7 @@ def look(eye: Eye, camera: Camera) -> View:
 
 def _behind_lashes(view: View, eye: Eye, camera: Camera) -> View:
     """The view with what lashes leave of its parts."""
-    lashes = lashes_seen(eye, camera)
+    lashes = lash_coverage(eye, camera)
     if lashes is None:
         return view
     names = "iris", "sclera", "mirror", "lids"
@@ -237,9 +237,11 @@ def iris_pixels(index: Array, eye: Eye, camera: Camera) -> IrisPixels:
         share = jnp.where(seen, 1.0, 0.0)
     else:
         outside = _Outside.met(eye, origin, direction)
-        front = choose(outside.iris, outside.front, on_cornea(eye.cornea, jnp.stack([aside, zero])))
+        front = choose(
+            outside.iris, outside.front, cornea_point(eye.cornea, jnp.stack([aside, zero]))
+        )
         direction = choose(outside.iris, direction, ahead)
-        point, direction, passed = enter(eye, front, direction)
+        point, direction, passed = refract_to_iris(eye, front, direction)
         shown = (1 - outside.blend) * _past_ring(eye, from_axis(front))
         share = passed * jnp.where(outside.iris, shown, 0.0) / eye.aqueous_index**2
     cosine = -dot(direction, eye.iris_normal(point))
@@ -281,7 +283,7 @@ def _film(index, eye: Eye, camera: Camera):
     origin, direction = camera.towards(index, eye)
     outside = _Outside.met(eye, origin, direction)
     if eye.lids is not None:
-        outside = outside._replace(normal=meniscus(eye, outside.point, outside.normal))
+        outside = outside._replace(normal=meniscus_normal(eye, outside.point, outside.normal))
     return outside, direction, 1 - refract_vector(direction, outside.normal, 1.0, TEAR)[1]
 
 

@@ -22,7 +22,7 @@ from irisjax.render.bands import Bands
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Facing, Front, fluxes_of
+from irisjax.render.shading import Facing, IrisModel, incident_flux
 from irisjax.render.tabulated import AbstractTabulated
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
@@ -86,7 +86,7 @@ class RadiativeIntegrator(AbstractTabulated):
         self,
         pixels: IrisPixels,
         lights: Lights,
-        front: Front,
+        model: IrisModel,
         tables: Illumination | None,
         facing: Facing | None,
     ) -> LightMoments:
@@ -95,9 +95,9 @@ class RadiativeIntegrator(AbstractTabulated):
         The directions of one scene are described by a few mixtures of these functions, which are
         chosen from a sample of its pixels. Under a JAX transformation all functions are kept.
         """
-        angles = self.directions(front.iris, front.eye.aqueous_index)
-        flux = fluxes_of(lights, front.eye, tables)
-        pixels_and_facing, shared = (pixels, facing), (flux, lights.factors, front.eye, angles)
+        angles = self.directions(model.iris, model.eye.aqueous_index)
+        flux = incident_flux(lights, model.eye, tables)
+        pixels_and_facing, shared = (pixels, facing), (flux, lights.tint_factors, model.eye, angles)
         sampled = light_moments(sample_pixels(pixels_and_facing), *shared, None)
         if not is_known(sampled):
             return light_moments(pixels_and_facing, *shared, None), None

@@ -15,7 +15,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.polynomials import chebyshev_coefficients
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Facing, Front, field_of, irradiance_at
+from irisjax.render.shading import Facing, IrisModel, entering_flux, irradiance_at
 from irisjax.render.tabulated import AbstractTabulated
 from irisjax.tissue.iris import Iris
 from irisjax.transport.ilit.exact import IlitExact
@@ -55,12 +55,12 @@ class Separable(AbstractTabulated):
         self,
         pixels: IrisPixels,
         lights: Lights,
-        front: Front,
+        model: IrisModel,
         tables: Illumination | None,
         facing: Facing | None,
     ) -> angular.LightMoments:
-        field = field_of(lights, front.eye, front.iris, tables, relief=facing is not None)
-        return irradiance_at((pixels, facing), field, front.eye), None
+        flux = entering_flux(lights, model.eye, model.iris, tables, relief=facing is not None)
+        return irradiance_at((pixels, facing), flux, model.eye), None
 
 
 class ExitFunctions(angular.AbstractAngularFunctions):

@@ -38,12 +38,12 @@ from irisjax.render.project import IrisPixels
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.shading import (
     Facing,
-    Front,
+    IrisModel,
+    camera_share,
     flux_at,
-    fluxes_of,
-    hidden_by,
+    hiding_factor,
+    incident_flux,
     normal_at,
-    shares,
 )
 from irisjax.render.surfaces import IrisSurface
 from irisjax.tissue.iris import Iris
@@ -79,7 +79,7 @@ class SingleScattering(AbstractIntegrator):
         self,
         pixels: IrisPixels,
         lights: Lights,
-        front: Front,
+        model: IrisModel,
         tables: Illumination | None,
         facing: Facing | None,
     ) -> "tuple[SceneData, Facing | None]":
@@ -87,9 +87,9 @@ class SingleScattering(AbstractIntegrator):
         surface; its parallax is left out.
         """
         elsewhere: Any = {"relief": None, "residual": None}
-        maps = {} if front.maps is None else front.maps.replace(**elsewhere).present()
-        flux = fluxes_of(lights, front.eye, tables)
-        return SceneData(maps, flux, lights.tint, front.eye), facing
+        maps = {} if model.maps is None else model.maps.replace(**elsewhere).present()
+        flux = incident_flux(lights, model.eye, tables)
+        return SceneData(maps, flux, lights.tint, model.eye), facing
 
     def response(self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales) -> "March":
         """The layers' optical depths at the wavelengths of `bands`."""
@@ -281,7 +281,7 @@ def _marched(
     clear = jnp.ones((iris.scattering.size, slant.size), slant.dtype)
     start = (clear, jnp.zeros((tints.shape[1], *clear.shape), clear.dtype))
     radiance = jax.lax.scan(march, start, jnp.arange(n_steps, dtype=slant.dtype))[0][1]
-    share = shares(pixels, data.eye)
+    share = camera_share(pixels, data.eye)
     if data.tint is None:
         return (iris.weights @ radiance[0]) * share
     return jnp.einsum("cb,cbp->cp", iris.weights, radiance) * share
@@ -309,7 +309,7 @@ def _sources(
         lit = (power > 0) & (cosine > 1e-3)
         phase = rayleigh(bend) / (4 * jnp.pi)
         if facing is not None:
-            power = power * facing.left_of(hidden_by(-(towards * flat).sum(0), data.eye))
+            power = power * facing.unshadowed(hiding_factor(-(towards * flat).sum(0), data.eye))
         return jnp.where(lit, power * phase, 0.0), 1 / jnp.where(lit, cosine, 1.0)
 
     return jax.lax.map(one, data.flux)

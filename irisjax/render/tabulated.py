@@ -36,7 +36,7 @@ from irisjax.render.polynomials import (
     varying_degrees,
 )
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import Front, scales_at, textures_of
+from irisjax.render.shading import IrisModel, sample_scales, scale_textures
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import Scales, texel_layers
 from irisjax.tissue.pigments import extinction
@@ -74,10 +74,10 @@ class AbstractTabulated(AbstractIntegrator):
     def directions(self, iris: Iris, aqueous_index: Scalar) -> AbstractAngularFunctions:
         """Return the functions of directions in which the response is expanded."""
 
-    def texels(self, pixels: IrisPixels, front: Front, ranges: Scales) -> TabulatedTexels:
-        directions = self.directions(front.iris, front.eye.aqueous_index)
-        textures = textures_of(front.maps, front.iris)
-        return _look_up_texels(pixels, textures, front.eye, ranges, directions)
+    def texels(self, pixels: IrisPixels, model: IrisModel, ranges: Scales) -> TabulatedTexels:
+        directions = self.directions(model.iris, model.eye.aqueous_index)
+        textures = scale_textures(model.maps, model.iris)
+        return _look_up_texels(pixels, textures, model.eye, ranges, directions)
 
     def response(
         self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
@@ -215,7 +215,7 @@ def _look_up_texels(
     ranges: Scales,
     directions: AbstractAngularFunctions,
 ) -> TabulatedTexels:
-    coordinates = scales_to_unit(scales_at(pixels, eye, textures), ranges)
+    coordinates = scales_to_unit(sample_scales(pixels, eye, textures), ranges)
     return coordinates, directions.exit_functions(pixels.cosine)
 
 

@@ -9,7 +9,7 @@ from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.optics.conicoid import Conicoid
 from irisjax.render.camera import Camera
 from irisjax.render.project import look
-from irisjax.render.refraction import enter, on_cornea
+from irisjax.render.refraction import cornea_point, refract_to_iris
 
 CORNEAS = {
     "single": lambda: Cornea(posterior=None),
@@ -59,8 +59,10 @@ def test_an_eye_just_allowed_is_seen():
     eye = Eye(iris_depth=3.29, pupil_radius=0.25)
     # A ray to each place of the limbus goes forwards through both surfaces to the iris.
     turn = jnp.linspace(0, 2 * jnp.pi, 60)
-    entry = on_cornea(eye.cornea, 5.49 * jnp.stack([jnp.cos(turn), jnp.sin(turn)], axis=-1))
-    landing = enter(eye, entry, jnp.broadcast_to(jnp.asarray([0.0, 0.0, 1.0]), entry.shape))
+    entry = cornea_point(eye.cornea, 5.49 * jnp.stack([jnp.cos(turn), jnp.sin(turn)], axis=-1))
+    landing = refract_to_iris(
+        eye, entry, jnp.broadcast_to(jnp.asarray([0.0, 0.0, 1.0]), entry.shape)
+    )
     assert (landing.point[:, 2] > entry[:, 2]).all() and np.isfinite(landing.share).all()
     view = look(eye, Camera(width=12.0, size=(24, 18)))
     assert view.iris is not None and view.iris.index.size > 100
@@ -72,7 +74,9 @@ def test_depth_may_be_traced():
     def lands(depth):
         eye = Eye(iris_depth=depth)
         k = jnp.asarray([2.0, 1.0])
-        return enter(eye, on_cornea(eye.cornea, k), jnp.asarray([0.0, 0.0, 1.0])).point[0]
+        return refract_to_iris(
+            eye, cornea_point(eye.cornea, k), jnp.asarray([0.0, 0.0, 1.0])
+        ).point[0]
 
     step = 1e-5
     depths = jnp.asarray([3.3, 3.6 - step, 3.6, 3.6 + step])

@@ -15,7 +15,7 @@ from irisjax.cli import compiled
 from irisjax.cli.compiled import MOST_TABLES, kept_tables, tables_key
 from irisjax.optics.conicoid import Conicoid
 from irisjax.render.camera import Camera
-from irisjax.render.illumination import Illumination, deciding
+from irisjax.render.illumination import Illumination, canonical_eye
 from irisjax.render.lights import Lights
 from irisjax.render.scene import Scene
 from irisjax.tissue.iris import Iris
@@ -76,7 +76,7 @@ def test_tables_are_made_of_what_the_key_sees():
     a = EYE.replace(limbus_width=0.3, limbal_ring=LimbalRing(), **pupil, **parts)
     b = EYE.replace(sclera=None)
     assert key(a, False) == key(b, False) == key(EYE, False)
-    assert jax.tree.structure(deciding(a)) == jax.tree.structure(deciding(b))
+    assert jax.tree.structure(canonical_eye(a)) == jax.tree.structure(canonical_eye(b))
     single = EYE.replace(cornea=Cornea.f09(), aqueous_index=1.376)
     assert key(single, True) == key(single.replace(cornea=Cornea(posterior=None, index=1.5)), True)
 

@@ -15,7 +15,7 @@ from irisjax.numerics.interpolation import polar_bilinear
 from irisjax.render.environment import Environment
 from irisjax.render.picture import draw
 from irisjax.render.project import look
-from irisjax.render.shading import slopes_of
+from irisjax.render.shading import relief_slopes
 from irisjax.tissue.maps import IrisMaps, cell_centres
 
 
@@ -54,7 +54,7 @@ def matt(scene, folder, point):
     albedo = polar_bilinear(jnp.moveaxis(jnp.asarray(texture, float), -1, 0), *place)
     irradiance = np.zeros(len(point))
     for i in range(len(scene.lights)):
-        towards, power = scene.lights.seen_from(tuple(jnp.asarray(point).T), i)
+        towards, power = scene.lights.incident_at(tuple(jnp.asarray(point).T), i)
         irradiance += np.asarray(power) * np.maximum(-np.asarray(towards[2]), 0)
     return np.asarray(albedo).T * irradiance[:, None] / np.pi
 
@@ -143,7 +143,7 @@ def test_slopes_of_a_relief():
     place = np.random.default_rng(0).uniform(size=(2, 4000))
     angle, radius = 2 * np.pi * place[0], 0.05 + 0.9 * place[1]
 
-    slopes = jax.jit(lambda relief: slopes_of(relief, EYE))
+    slopes = jax.jit(lambda relief: relief_slopes(relief, EYE))
     at = jax.jit(lambda found: polar_bilinear(found, jnp.asarray(angle), jnp.asarray(radius)))
     for shape in ((2, 2), (24, 8)):
         along, across = slopes(jnp.broadcast_to(0.1 * cell_centres(shape)[1], shape))

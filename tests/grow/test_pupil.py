@@ -11,7 +11,7 @@ from irisjax.grow.pupil import irregular_pupil
 from irisjax.io.scenes import parse_scene, scene_text
 from irisjax.render.camera import Camera
 from irisjax.render.project import look
-from irisjax.render.shading import shares
+from irisjax.render.shading import camera_share
 
 CENTRE = np.array([-0.3, 0.1])
 HARMONICS = np.array([[0.02, -0.01], [0.0, 0.015]])
@@ -49,13 +49,13 @@ def test_grown_edges_deviate_by_what_is_asked_for():
 def test_tissue_ends_at_the_edge():
     view = look(EYE, Camera(width=12.0, size=(96, 96)))
     x, y = (np.asarray(v) for v in view.iris.point[:2])
-    share = np.asarray(shares(view.iris, EYE)) / np.asarray(view.iris.share)
+    share = np.asarray(camera_share(view.iris, EYE)) / np.asarray(view.iris.share)
     away = np.hypot(x - CENTRE[0], y - CENTRE[1])
     beyond = away - edge(np.arctan2(y - CENTRE[1], x - CENTRE[0]))
     known = (np.asarray(view.iris.share) > 0) & (np.asarray(view.iris.index) >= 0)
     assert (share[known & (beyond < -1e-6)] == 0).all()
     assert (share[known & (beyond > float(EYE.pupil_margin))] == 1).all()
-    mixed = (np.asarray(shares(view.iris, BARE)) > 0) != (share > 0)
+    mixed = (np.asarray(camera_share(view.iris, BARE)) > 0) != (share > 0)
     assert (mixed & known).any()  # the round pupil ends elsewhere
 
 

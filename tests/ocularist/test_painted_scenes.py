@@ -23,7 +23,7 @@ from irisjax.render.points import project_points
 from irisjax.render.project import look
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
-from irisjax.render.shading import Front
+from irisjax.render.shading import IrisModel
 from irisjax.render.surfaces import IrisSurface
 from render.small_scenes import around
 
@@ -191,7 +191,7 @@ def test_a_coat_that_changes_is_painted_with_those_below_alone(monkeypatch):
         done.update(dict.fromkeys(STEPS, 0))
         found = painted.paint(base, dict(steps))
         counts = tuple(done.values())
-        front = Front(made.eye, None, None)
+        front = IrisModel(made.eye, None, None)
         whole = painted.illuminate(few(), made.lights, front, tables(), None)
         np.testing.assert_allclose(found, whole, atol=1e-12)
         assert np.abs(np.asarray(found - first)).max() > 1e-3

@@ -37,7 +37,7 @@ from irisjax.render.picture import draw
 from irisjax.render.project import look
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
-from irisjax.render.shading import ranges_of
+from irisjax.render.shading import scale_ranges
 from irisjax.tissue.iris import Iris
 
 OTHER = BASE.replace(
@@ -189,7 +189,10 @@ def test_the_table_of_a_search_by_radiative_transfer_errs_less_than_windows_do()
     """
     maps = average_maps(Eye())
     base = Iris(fibril_radius=jnp.asarray(FIBRILS), stroma_thickness=jnp.mean(maps.stroma_depth))
-    ranges, bands = ranges_of(base, maps.replace(freckles=None)), colour_bands(cornea=Eye().cornea)
+    ranges, bands = (
+        scale_ranges(base, maps.replace(freckles=None)),
+        colour_bands(cornea=Eye().cornea),
+    )
     known, half = (
         (Eye().aqueous_index, bands, ranges),
         0.5 * np.sqrt(np.diag(PRIOR_COVARIANCE)).min(),

@@ -8,8 +8,8 @@ import pytest
 from irisjax.anatomy.eye import Eye
 from irisjax.export.mesh import eye_meshes, mesh_files
 from irisjax.optics.conicoid import norm
-from irisjax.render.illumination import gathered
-from irisjax.render.refraction import arrive, enter
+from irisjax.render.illumination import trace_flux
+from irisjax.render.refraction import find_arrival, refract_to_iris
 from render.tracing import towards
 
 pytestmark = pytest.mark.peer
@@ -96,7 +96,7 @@ def _seen(cornea, size, first, last, samples):
         o = jnp.broadcast_to(jnp.asarray(origin), d.shape)
         distance, met = EYE.cornea.anterior.intersect(o, d)
         entry = o + distance[..., None] * d
-        point = enter(EYE, entry, d).point[..., :2]
+        point = refract_to_iris(EYE, entry, d).point[..., :2]
         r = norm(point)
         # Pixels that hold an edge are left out.
         return point, met & (norm(entry[..., :2]) < 5.47) & (r > PUPIL + 0.04) & (r < ROOT - 0.04)
@@ -153,7 +153,7 @@ def _smooth(eye, degrees, size):
     light = jnp.asarray(towards(np.radians(degrees)))
 
     def at(target):
-        found = arrive(eye, target, light, 0.9 * target, 20)
+        found = find_arrival(eye, target, light, 0.9 * target, 20)
         return found.flux[2], norm(found.entry)
 
     points = jnp.asarray(np.stack(np.meshgrid(line, line), -1))
@@ -194,7 +194,7 @@ def test_caustic(cornea):
     # Our grid's points are the centres of their cells.
     extent = jnp.asarray(ROOT - cell / 2)
     ours = np.asarray(
-        jax.jit(lambda a: gathered(EYE, a, size, extent, 400_000))(jnp.radians(float(degrees)))
+        jax.jit(lambda a: trace_flux(EYE, a, size, extent, 400_000))(jnp.radians(float(degrees)))
     )[..., 2]
     power = [x.sum() * cell**2 for x in (theirs, ours)]
     # Along the axis of symmetry, over a band 1.4 mm wide; between cells by the parabola through the

@@ -95,7 +95,7 @@ def test_far_lamps_in_single_precision():
             place = np.array([0.3, -0.2, -0.933])[None] * np.array([22.0, 250.0, 1e4, 1e7])[:, None]
             lights = Lights.points(place, 2.0)
             point = (jnp.asarray([0.0, 3.0, -5.0]),) * 3
-            towards, power = jax.jit(lambda lights: lights.seen_from(point))(lights)
+            towards, power = jax.jit(lambda lights: lights.incident_at(point))(lights)
             return np.stack([*map(np.asarray, towards), np.asarray(power)])
 
     np.testing.assert_allclose(around(False), around(True), rtol=3e-6, atol=1e-6)

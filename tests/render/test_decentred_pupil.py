@@ -9,7 +9,7 @@ from irisjax.export.mesh import eye_meshes
 from irisjax.io.scenes import parse_scene
 from irisjax.render.camera import Camera
 from irisjax.render.project import IrisPixels, look
-from irisjax.render.shading import relief_of, shares, tilted
+from irisjax.render.shading import camera_share, facing_at, relief_field
 
 CENTRE = np.array([-0.35, 0.2])
 EYE = Eye(cornea=None, sclera=None, pupil_radius=1.5, pupil_centre=CENTRE)
@@ -37,7 +37,7 @@ def test_rings_lie_between_pupil_and_root():
 def test_pupil_is_seen_where_it_is():
     view = look(EYE, Camera(width=12.0, size=(96, 96)))
     x, y = (np.asarray(v) for v in view.iris.point[:2])
-    share = np.asarray(shares(view.iris, EYE)) / np.asarray(view.iris.share)
+    share = np.asarray(camera_share(view.iris, EYE)) / np.asarray(view.iris.share)
     away = np.hypot(x - CENTRE[0], y - CENTRE[1])
     known = (np.asarray(view.iris.share) > 0) & (np.asarray(view.iris.index) >= 0)
     assert (share[known & (away < 1.5)] == 0).all()
@@ -51,13 +51,13 @@ def test_relief_tilts_by_the_slope_of_its_surface():
     share = np.broadcast_to((np.arange(radii) + 0.5) / radii, (angles, radii)).ravel()
     x, y = on_ring(np.repeat(angle, radii), share)
     height = 0.1 * np.sin(0.8 * x + 0.5 * y)
-    relief = relief_of(jnp.asarray(height.reshape(angles, radii)), EYE)
+    relief = relief_field(jnp.asarray(height.reshape(angles, radii)), EYE)
     rng = np.random.default_rng(3)
     u, v = on_ring(rng.uniform(-np.pi, np.pi, 40), rng.uniform(0.15, 0.85, 40))
     point = tuple(map(jnp.asarray, (u, v, np.full(40, 3.6))))
     ones = jnp.ones(40)
     pixels = IrisPixels(None, point, point, ones, ones)
-    normal, _ = tilted(pixels, EYE, relief)
+    normal, _ = facing_at(pixels, EYE, relief)
     found = np.stack([np.asarray(c) for c in normal], -1)
     steep = 0.1 * np.cos(0.8 * u + 0.5 * v)
     # Towards the cornea is −z: the surface is z = −height.

@@ -17,11 +17,11 @@ from irisjax.render import outside, shading
 from irisjax.render.bands import BAND_GRID
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
-from irisjax.render.illumination import gathered
+from irisjax.render.illumination import trace_flux
 from irisjax.render.lights import Lights
 from irisjax.render.outside import bulk_reflectance
 from irisjax.render.project import ScleraPixels, look, sclera_pixels
-from irisjax.render.refraction import UNIQUE_POLAR, RefractionFunction, window
+from irisjax.render.refraction import UNIQUE_POLAR, RefractionFunction, limbus_window
 from irisjax.render.scene import Scene
 from irisjax.tissue.maps import IrisMaps
 from render.small_scenes import around, rays_of
@@ -48,7 +48,7 @@ def test_near_lamp_on_the_iris(tables):
         * soft_edge(np.hypot(*k.T), 5.5)
         * (50.0 / length) ** 2
     )
-    field = shading.fluxes_of(Lights.points(lamp, 1.0), EYE, tables)[0]
+    field = shading.incident_flux(Lights.points(lamp, 1.0), EYE, tables)[0]
     line = np.linspace(-1, 1, field.shape[-1]) * float(EYE.iris_radius)
     x, y = np.meshgrid(line, line)
     for place in ((0.0, 0.0), (-2.5, 0.0), (0.0, 2.5)):
@@ -64,7 +64,7 @@ def test_far_points_are_distant(tables):
         Lights.points([3e6, 2e6, -5e6], 1.0),
         Lights.distant(np.arctan2(13**0.5, 5), np.arctan2(2, 3), 1.0),
     )
-    fields = [np.asarray(shading.fluxes_of(lights, EYE, tables)) for lights in (near, far)]
+    fields = [np.asarray(shading.incident_flux(lights, EYE, tables)) for lights in (near, far)]
     np.testing.assert_allclose(*fields, atol=1e-5)
 
 
@@ -75,7 +75,7 @@ def pixels(normal, point=(0.0, 0.0, 0.0)):
 
 def lit(lights, *of):
     """Radiance of a white that sends back all, times π."""
-    return float(outside.white((pixels(*of), jnp.ones((1, 3))), lights)[0, 0])
+    return float(outside.sclera_radiance((pixels(*of), jnp.ones((1, 3))), lights)[0, 0])
 
 
 def test_round_white_keeps_its_power():
@@ -103,7 +103,7 @@ def test_white_has_no_edge_where_the_cornea_begins():
     assert 0 < float(white.share[60]) < 1  # it has begun to blend
     for polar in (0.0, 0.6, 1.2):
         lamp = Lights.distant(polar, np.pi, 1.0)
-        shown = np.asarray(outside.white((white, jnp.ones((1, len(row)))), lamp))[0]
+        shown = np.asarray(outside.sclera_radiance((white, jnp.ones((1, len(row)))), lamp))[0]
         assert np.abs(np.diff(shown)).max() < 0.005, polar
 
 
@@ -206,12 +206,12 @@ def test_cone_is_lit_alike_by_both_tables():
     """
     eye = EYE.replace(iris_slope=0.3, iris_depth=3.8)
     size, extent = 65, 5.5
-    counted = gathered(eye, jnp.asarray(UNIQUE_POLAR), size, jnp.asarray(extent), 100_000)
+    counted = trace_flux(eye, jnp.asarray(UNIQUE_POLAR), size, jnp.asarray(extent), 100_000)
     line = jnp.linspace(-1, 1, size) * extent
     points = jnp.stack(jnp.meshgrid(line, line), axis=-1)
     towards = jnp.array([np.sin(UNIQUE_POLAR), 0.0, -np.cos(UNIQUE_POLAR)])
     found = RefractionFunction.build(eye, n_azimuth=24, n_radius=40).at(points, towards)
-    searched = window(eye, found.entry)[..., None] * found.flux
+    searched = limbus_window(eye, found.entry)[..., None] * found.flux
     inside = np.hypot(*np.meshgrid(line, line)) < 3.0
     ratio = np.asarray(counted[..., 2])[inside].sum() / np.asarray(searched[..., 2])[inside].sum()
     assert ratio == pytest.approx(1, abs=0.01)
@@ -253,7 +253,7 @@ def test_gradient_to_a_near_lamps_place(tables):
     @jax.jit
     def brightness(x, y):
         lights = Lights.points(jnp.stack([x, y, jnp.asarray(-60.0)]), 1.0)
-        return shading.fluxes_of(lights, EYE, tables, 41)[0, 2, 15:25, 18:28].sum()
+        return shading.incident_flux(lights, EYE, tables, 41)[0, 2, 15:25, 18:28].sum()
 
     step, gradient = 1e-3, jax.jit(jax.grad(brightness))
     rise = float(brightness(20.0 + step, 10.0) - brightness(20.0 - step, 10.0)) / (2 * step)

@@ -12,12 +12,12 @@ from common import operations, quick_jit
 from irisjax.anatomy.sclera import sclera_centre
 from irisjax.grow.lids import lids
 from irisjax.numerics.strokes import stamp_strokes, stroke_sections
-from irisjax.render.lids import let_in, meet_lids, skin_reflectance
+from irisjax.render.lids import lid_visibility, meet_lids, skin_reflectance
 from irisjax.render.lights import Lights
 from irisjax.render.picture import surroundings, texture
 from irisjax.render.project import look, onto_picture, project
 from irisjax.render.scene import Scene
-from irisjax.render.shading import fluxes_of
+from irisjax.render.shading import incident_flux
 from irisjax.tissue.diffusion import diffuse_reflectance
 from render.small_scenes import LIGHT, QUICK
 
@@ -69,13 +69,13 @@ def test_melanin_and_blood_darken_skin_where_they_absorb():
 def test_lids_keep_light_from_above_from_the_eye():
     polar = np.radians([0.0, 30.0, 60.0, 85.0])
     lamps = Lights.distant(polar, np.pi / 2)
-    open_to = quick_jit(lambda eye, y: let_in(eye, (0 * y, y, 0 * y), *_of(lamps)))
+    open_to = quick_jit(lambda eye, y: lid_visibility(eye, (0 * y, y, 0 * y), *_of(lamps)))
     top, middle = (np.asarray(open_to(EYE, jnp.asarray([y])))[:, 0] for y in (3.9, 0.0))
     assert middle[0] > 0.99 and (np.diff(middle) <= 0).all() and middle[-1] < 0.05
     assert (top < middle).all() and top[2] < 0.1
 
     def whole(y):
-        return let_in(EYE, (0 * y, y, 0 * y), *_of(lamps)).sum()
+        return lid_visibility(EYE, (0 * y, y, 0 * y), *_of(lamps)).sum()
 
     value = quick_jit(jax.value_and_grad(whole))
     (_, slope), *step = (value(jnp.asarray([2.5 + e])) for e in (0, 1e-5, -1e-5))
@@ -121,7 +121,7 @@ def test_absent_lids_cost_nothing():
     bare, lidded = (
         [
             operations(lambda eye=eye: project(eye, CAMERA)),
-            operations(lambda eye=eye: fluxes_of(lamps, eye, None)),
+            operations(lambda eye=eye: incident_flux(lamps, eye, None)),
         ]
         for eye in (BARE, EYE)
     )

@@ -19,7 +19,7 @@ from irisjax.render.lights import Lights
 from irisjax.render.picture import draw
 from irisjax.render.project import project
 from irisjax.render.radiative import RadiativeIntegrator
-from irisjax.render.shading import flux_at, fluxes_of, shares
+from irisjax.render.shading import camera_share, flux_at, incident_flux
 from irisjax.tissue.maps import IrisMaps, Scales
 from irisjax.tissue.pigments import extinction
 from render.small_scenes import BARE, CLOSE, LIGHT, scene
@@ -106,14 +106,14 @@ def test_each_pixel_is_its_brdf_times_its_light(eye):
     if eye is CLOSE:
         # Refraction at a cornea bends light and lines of sight: the integrator's own field.
         tables = Illumination.build(eye, caustics=False)
-        field = fluxes_of(lights, eye, tables)
+        field = incident_flux(lights, eye, tables)
         fluxes = [np.asarray(flux_at(f, eye.iris_radius, seen.point)).T for f in field]
     else:
         fluxes = [
             -np.outer(np.ones(24), np.asarray(towards) * float(power))
             for towards, power in zip(lights.towards, lights.irradiance, strict=True)
         ]
-    share = np.asarray(shares(seen, eye))
+    share = np.asarray(camera_share(seen, eye))
     for pixel in np.flatnonzero(share > 0):
         n, out = normal[pixel], view[pixel]
         for flux in fluxes:

@@ -11,16 +11,16 @@ import pytest
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.cli.render import left_out
 from irisjax.optics.conicoid import Conicoid
-from irisjax.render.illumination import Illumination, gathered, reflects_inside
+from irisjax.render.illumination import Illumination, reflects_inside, trace_flux
 from irisjax.render.lights import Lights
 from irisjax.render.refraction import (
     UNIQUE_POLAR,
     RefractionFunction,
-    arrive,
-    enter,
-    into_chamber,
-    on_cornea,
-    window,
+    cornea_point,
+    find_arrival,
+    limbus_window,
+    refract_into_chamber,
+    refract_to_iris,
 )
 from irisjax.render.scene import Scene
 from irisjax.tissue.iris import Iris
@@ -42,14 +42,14 @@ def _search(eye, targets, light):
     """Arrivals by Newton's search; always of 40 targets, so that it is compiled once for each kind
     of eye.
     """
-    return jax.vmap(lambda t: arrive(eye, t, light, 0.9 * t, 20))(targets)
+    return jax.vmap(lambda t: find_arrival(eye, t, light, 0.9 * t, 20))(targets)
 
 
 @jax.jit
 def _entered(eye, k, light):
     """Rays that enter at points (rays, 2) of the cornea: in the chamber, and where they land."""
-    rays = on_cornea(eye.cornea, k), jnp.broadcast_to(-light, (len(k), 3))
-    return into_chamber(eye, *rays), enter(eye, *rays)
+    rays = cornea_point(eye.cornea, k), jnp.broadcast_to(-light, (len(k), 3))
+    return refract_into_chamber(eye, *rays), refract_to_iris(eye, *rays)
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ def test_paraxial_magnification_of_the_pupil(depth, textbook):
 @jax.jit
 def _irradiance(tables, points, light):
     found = tables.at(points, light)
-    return window(DEFAULT, found.entry) * found.flux[..., 2]
+    return limbus_window(DEFAULT, found.entry) * found.flux[..., 2]
 
 
 _at = eqx.filter_jit(Illumination.at)
@@ -155,7 +155,7 @@ def test_flux_vectors_keep_the_power(tables, polar):
 
 
 WIDE = 65, jnp.asarray(9.0)  # holds all that enters
-_gathered = jax.jit(lambda eye, polar: gathered(eye, polar, *WIDE, 60_000))
+_gathered = jax.jit(lambda eye, polar: trace_flux(eye, polar, *WIDE, 60_000))
 
 
 @EYES
@@ -216,7 +216,7 @@ def test_the_rim_is_as_bright_as_its_surroundings(illumination):
     light = jnp.asarray(towards(0.7))
     points = jnp.stack([-jnp.linspace(5.3, 5.495, 40), jnp.zeros(40)], -1)
     found = _search(DEFAULT, points, light)
-    exact = window(DEFAULT, found.entry)[:, None] * found.flux
+    exact = limbus_window(DEFAULT, found.entry)[:, None] * found.flux
     np.testing.assert_allclose(illumination.at(points, light), exact, rtol=0.02, atol=1e-3)
 
 

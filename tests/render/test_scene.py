@@ -15,7 +15,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.picture import draw, respond
 from irisjax.render.scene import Scene
-from irisjax.render.shading import sky_of
+from irisjax.render.shading import sky_share
 from irisjax.tissue.maps import IrisMaps
 from render.small_scenes import (
     BARE,
@@ -108,7 +108,7 @@ def test_relief_hides_the_share_of_the_sky_that_lies_behind_it():
     """
     shape, foot, bare = (512, 64), 39, ij.Eye(cornea=None, pupil_radius=2.0, iris_radius=5.0)
     wall = jnp.broadcast_to(jnp.where(jnp.arange(shape[1]) > foot, 1.0, 0.0), shape)
-    distance, sky = 5 * 3.0 / 64, quick_jit(sky_of)
+    distance, sky = 5 * 3.0 / 64, quick_jit(sky_share)
     for elevation in (0.4, 0.8):
         low = np.asarray(sky(wall * distance * np.tan(elevation), bare))
         np.testing.assert_allclose(low[:, foot - 4], (1 + np.cos(elevation)) / 2, atol=0.02)

@@ -14,9 +14,9 @@ from irisjax.render.outside import (
     Blood,
     bulk_reflectance,
     colour_table,
+    sample_veins,
     sclera_reflectance,
     veil,
-    vein_depth_at,
 )
 from irisjax.tissue.diffusion import slab_reflectance
 
@@ -163,7 +163,7 @@ def test_periodic_in_azimuth(drawn):
             np.stack([s * np.cos(azimuth), s * np.sin(azimuth), centre - r * np.cos(across)], -1)
         )
 
-    look = jax.jit(lambda veins, eye, point: vein_depth_at(veins, *vein_place(eye, point)))
+    look = jax.jit(lambda veins, eye, point: sample_veins(veins, *vein_place(eye, point)))
     for a, b in zip(look(drawn, eye, at(-1e-9)), look(drawn, eye, at(1e-9)), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-5)
 
@@ -177,7 +177,7 @@ def test_look_up_at_a_cell_centre(drawn):
     point = centre + 11.5 * np.array(
         [np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), -np.cos(polar)]
     )
-    found = vein_depth_at(drawn, *vein_place(eye, jnp.asarray(point)))
+    found = sample_veins(drawn, *vein_place(eye, jnp.asarray(point)))
     np.testing.assert_allclose(
         found, [drawn.depth[i, j], drawn.cover[i, j], drawn.deep[i, j]], atol=1e-9
     )
@@ -226,7 +226,7 @@ def test_gradients_are_finite(drawn):
         eye = Eye(sclera=sclera)
         d = jnp.broadcast_to(jnp.array([0.0, 0.0, 1.0]), origin.shape)
         t, hit = meet_sclera(eye, origin, d)
-        blood = vein_depth_at(drawn, *vein_place(eye, origin + t[:, None] * d))
+        blood = sample_veins(drawn, *vein_place(eye, origin + t[:, None] * d))
         return jnp.where(hit[:, None], colour_table(sclera, GRID, weights)(blood), 0.0).sum()
 
     value, gradient = jax.jit(jax.value_and_grad(brightness, argnums=(0, 1)))(Sclera(), origin)
@@ -242,9 +242,7 @@ def test_single_precision(float32):
 
     @jax.jit
     def shaded(point):
-        return colour_table(eye.sclera, GRID, weights)(
-            vein_depth_at(drawn, *vein_place(eye, point))
-        )
+        return colour_table(eye.sclera, GRID, weights)(sample_veins(drawn, *vein_place(eye, point)))
 
     colour = shaded(jnp.array([[8.0, 2.0, 4.0]]))
     assert drawn.depth.dtype == drawn.deep.dtype == colour.dtype == jnp.float32

@@ -53,8 +53,8 @@ def test_absent_parts_cost_nothing(tables):
     counts = [
         operations(
             lambda m=m: (
-                QUICK.texels(pixels, shading.Front(eye, iris, m), Scales.of(m, iris).ranges()),
-                front := shading.Front(eye, iris, m),
+                QUICK.texels(pixels, shading.IrisModel(eye, iris, m), Scales.of(m, iris).ranges()),
+                front := shading.IrisModel(eye, iris, m),
                 facing := front.facing(pixels),
                 QUICK.illuminate(pixels, lamp, front, tables, facing),
             )
@@ -77,26 +77,26 @@ def test_absent_parts_cost_nothing(tables):
     assert responses[0] < responses[1]
 
     def light(lights, eye, tables):
-        return operations(lambda: shading.field_of(lights, eye, iris, tables))
+        return operations(lambda: shading.entering_flux(lights, eye, iris, tables))
 
     assert light(lamp, BARE, None) < light(lamp, eye, tables)
-    assert shading.field_of(lamp, eye, iris, tables).shape[0] == 1
-    assert shading.field_of(tinted, eye, iris, tables).shape[0] == 3
+    assert shading.entering_flux(lamp, eye, iris, tables).shape[0] == 1
+    assert shading.entering_flux(tinted, eye, iris, tables).shape[0] == 3
     sight = [
         operations(lambda e=e: iris_pixels(jnp.arange(9), e, SMALL))
         for e in (BARE, CLOSE, Eye(cornea=CLEAR))
     ]
     assert sight == sorted(set(sight))
     view = look(Eye(), SMALL)
-    room = outside.room_at(view.mirror, Environment(jnp.ones((4, 8, 3))))
+    room = outside.mirrored_environment(view.mirror, Environment(jnp.ones((4, 8, 3))))
     mirrors = [
-        operations(lambda r=r: outside.mirrored((view.mirror, r), lamp, jnp.ones(3)))
+        operations(lambda r=r: outside.tear_film_radiance((view.mirror, r), lamp, jnp.ones(3)))
         for r in (None, room)
     ]
     table = colour_table(Eye().sclera, np.array([450.0, 600.0]), np.ones((3, 2)))
     drawn = VeinMap(*(jnp.zeros((4, 4)) for _ in range(3)))
     whites = [
-        operations(lambda v=v: outside.white_colour(view.sclera, Eye(), table, v))
+        operations(lambda v=v: outside.sclera_base_colour(view.sclera, Eye(), table, v))
         for v in (None, drawn)
     ]
     assert mirrors[0] < mirrors[1] and whites[0] < whites[1]
