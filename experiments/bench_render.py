@@ -24,12 +24,12 @@ from irisjax.render.picture import (
     Texels,
     illuminate,
     iris_texels,
-    prepared_scene,
+    prepare_scene,
     respond,
     shade,
     texture,
 )
-from irisjax.render.project import look
+from irisjax.render.project import project_visible
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.single_scattering import SingleScattering
@@ -82,8 +82,8 @@ def frames(key, size, repeats):
 
     def of(change, name, scene, tables):
         """Yield the rows of one kind of change of a scene."""
-        scene = prepared_scene(scene)
-        view = look(scene.eye, scene.camera)
+        scene = prepare_scene(scene)
+        view = project_visible(scene.eye, scene.camera)
         texels = texture(view, scene)
         light = illuminate(view, texels, scene, tables)
         response = respond(scene)
@@ -101,7 +101,7 @@ def frames(key, size, repeats):
             def thicker(i):
                 thick = scene.maps.stroma_depth * (1 + 1e-3 * i)
                 changed = scene.replace(maps=scene.maps.replace(stroma_depth=thick))
-                mapped = Texels(*iris_texels(view, changed), texels.white, texels.room)
+                mapped = Texels(*iris_texels(view, changed), texels.sclera, texels.environment)
                 return shade(view, mapped, light, respond(changed))
 
             def uniformly_thicker(i):
@@ -117,7 +117,7 @@ def frames(key, size, repeats):
             def moved(i):
                 turned = dataclasses.replace(scene.camera, polar=0.01 * i)
                 changed = scene.replace(camera=turned)
-                seen = look(changed.eye, turned)
+                seen = project_visible(changed.eye, turned)
                 there = texture(seen, changed)
                 return shade(seen, there, illuminate(seen, there, changed, tables), response)
 

@@ -31,7 +31,7 @@ from irisjax.render.picture import (
     surroundings,
     texture,
 )
-from irisjax.render.project import look, onto_picture
+from irisjax.render.project import project_visible, scatter_to_picture
 from irisjax.render.scene import Scene
 from irisjax.tissue.maps import cell_centres
 
@@ -106,10 +106,10 @@ class Pictured(NamedTuple):
         parts = {"eye": eye, "lights": None, "integrator": INTEGRATORS[model]()}
         parts["environment"] = Environment.studio() if environment is None else environment
         scene = Scene(iris, maps, camera=camera, **parts)
-        view = look(eye, camera)
+        view = project_visible(eye, camera)
         texels = texture(view, scene)
         light = illuminate(view, texels, scene)
-        blend = onto_picture(view.sclera, np.asarray(view.sclera.share), (side, side)).ravel()
+        blend = scatter_to_picture(view.sclera, np.asarray(view.sclera.share), (side, side)).ravel()
         index = np.asarray(view.iris.index)
         place = np.asarray(eye.relative_radius(np.hypot(*map(np.asarray, view.iris.point[:2]))))
         seen = (index >= 0) & (place > 0) & (np.asarray(view.iris.share) > 0)

@@ -172,7 +172,7 @@ def _texture(scene: Scene, albedo: np.ndarray, light: np.ndarray) -> dict[str, A
 
 def sensor_of(camera: Camera, eye: Eye) -> dict[str, Any]:
     """A pinhole camera of Mitsuba's that sees what `camera` sees."""
-    origin = np.asarray(camera.place(eye), float) * [1, 1, -1]
+    origin = np.asarray(camera.position(eye), float) * [1, 1, -1]
     target = [0.0, 0.0, -float(eye.iris_depth)]
     half = math.atan(float(camera.width) / 2 / float(camera.distance))
     return {

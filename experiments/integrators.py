@@ -15,7 +15,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.measure.colour import OBSERVER, tristimulus_matrix
 from irisjax.render.bands import Bands
 from irisjax.render.project import IrisPixels
-from irisjax.render.single_scattering import SceneData, SingleScattering
+from irisjax.render.single_scattering import MarchedScene, SingleScattering
 from irisjax.tissue.maps import Scales, texel_layers
 from irisjax.transport.solution import raise_failure
 
@@ -129,7 +129,7 @@ def _models(iris, thickness, mu, exits):
     def marched(scale):
         maps = {"stroma_depth": jnp.full((2, 2), scale * iris.stroma_thickness)}
         light = jnp.broadcast_to(towards[:, None, None], (1, 3, 2, 2))
-        data = SceneData(maps, light, None, Eye(cornea=None, sclera=None))
+        data = MarchedScene(maps, light, None, Eye(cornea=None, sclera=None))
         return response.shade(pixels, None, (data, None)) / mu
 
     ilit, _ = solved(ij.IlitExact(24))

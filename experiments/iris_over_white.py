@@ -18,7 +18,7 @@ from irisjax.render.camera import Camera
 from irisjax.render.environment import LUMINANCE, Environment
 from irisjax.render.lights import Lights
 from irisjax.render.picture import illuminate, respond, shade, texture
-from irisjax.render.project import look
+from irisjax.render.project import project_visible
 from irisjax.render.scene import Scene
 
 ABOUT = (
@@ -89,7 +89,7 @@ def pictured(light, iris, side):
     camera = Camera(size=(side, side), width=WIDTH, images=0.0)
     parts = {"camera": camera, "eye": EYE, "lights": lamps, "environment": around}
     scene = Scene(iris, None, **parts)
-    view = look(EYE, camera)
+    view = project_visible(EYE, camera)
     texels = texture(view, scene)
     lit = illuminate(view, texels, scene)
     whole, white = shade(view, texels, lit, respond(scene)), np.asarray(lit.surroundings)
@@ -97,7 +97,7 @@ def pictured(light, iris, side):
     # Without a cornea, lit and seen along the axis, a pixel shows the reflectance of the tissue.
     bare = dataclasses.replace(scene, eye=EYE.replace(cornea=None, sclera=None))
     bare = bare.replace(lights=Lights.distant(0.0, 0.0), environment=None)
-    seen = look(bare.eye, camera)
+    seen = project_visible(bare.eye, camera)
     flat = texture(seen, bare)
     sheet = shade(seen, flat, illuminate(seen, flat, bare), respond(bare))
     place = np.asarray(EYE.relative_radius(np.hypot(*map(np.asarray, view.iris.point[:2]))))

@@ -559,7 +559,7 @@ def _coverage(pupil: np.ndarray) -> np.ndarray:
 
 def _white_table(eye: Eye):
     assert eye.sclera is not None
-    bands = colour_bands(every=True)
+    bands = colour_bands(all_wavelengths=True)
     return colour_table(eye.sclera, np.asarray(bands.wavelengths), bands.weights)
 
 
@@ -573,7 +573,7 @@ def _white_colours(eye: Eye, points: np.ndarray, seed: int) -> np.ndarray:
     """Albedo of the white at points of the eye's frame, redder towards the corners of the lids."""
     grown = veins(eye, shape=(2048, 768), key=jax.random.key(seed))
     assert grown is not None
-    place = GlobeSurface(eye).place(jnp.asarray(points))
+    place = GlobeSurface(eye).texture_coordinates(jnp.asarray(points))
     found = np.asarray(_white_table(eye)(sample_veins(grown, *place)))
     aside = np.clip((np.abs(points[:, :1]) - 7) / 4, 0, 1)
     return np.clip(found * (1 - aside * [0.05, 0.18, 0.2]), 0, 1)

@@ -30,7 +30,7 @@ from irisjax.ocularist.recipes import coats
 from irisjax.render.camera import Camera
 from irisjax.render.environment import ENVIRONMENTS
 from irisjax.render.picture import LitView, draw, respond, shade, surroundings, texture
-from irisjax.render.project import look
+from irisjax.render.project import project_visible
 
 ABOUT = "painted and simulated by irisjax"
 BASES = (("detail", "blue", 0), ("detail", "blue", 1), ("dit-dot", "blue", 2))
@@ -174,7 +174,7 @@ def _times(blue: Painting, eye, tables, out) -> None:
     for count in (10, 20, 30, 40, 50, 70):
         scene = studio(_first(_doubled(blue), count), eye)
 
-        view = look(scene.eye, scene.camera)
+        view = project_visible(scene.eye, scene.camera)
         texels, response = texture(view, scene), respond(scene)
         around = surroundings(view, texels, scene)
         parts = view.iris, scene.all_lights(), scene.eye, tables

@@ -147,7 +147,7 @@ def _towards(camera: Camera, matt: Matt) -> np.ndarray:
     assert eye.cornea is not None
     width, height = camera.size
     middle = jnp.asarray([height // 2 * width + width // 2])
-    origin, direction = camera.towards(middle, eye)
+    origin, direction = camera.rays(middle, eye)
     distance, _ = eye.cornea.anterior.intersect(origin, direction)
     exits = refract_to_iris(eye, origin + distance[:, None] * direction, direction).direction[0, 2]
     texels = Scales(*(None if s is None else s.ravel() for s in matt.scales))
@@ -159,7 +159,7 @@ def _towards(camera: Camera, matt: Matt) -> np.ndarray:
 def _white(eye: Eye) -> np.ndarray:
     """Albedo of the sclera, linear sRGB."""
     assert eye.sclera is not None
-    bands = colour_bands(every=True)
+    bands = colour_bands(all_wavelengths=True)
     table = colour_table(eye.sclera, np.asarray(bands.wavelengths), bands.weights)
     return np.asarray(table(Blood(jnp.zeros(1))))[0]
 

@@ -301,7 +301,7 @@ def _step(x) -> np.ndarray:
 @lru_cache(maxsize=1)
 def _weights() -> np.ndarray:
     """Matrix (3, wavelengths) to linear sRGB under D65, through the cornea's haze twice."""
-    bands = colour_bands(cornea=Cornea(), every=True)
+    bands = colour_bands(cornea=Cornea(), all_wavelengths=True)
     every = np.asarray(bands.wavelengths)
     hats = np.stack([np.interp(every, WAVELENGTHS, one) for one in np.eye(len(WAVELENGTHS))], -1)
     return np.asarray(bands.weights, float) @ hats

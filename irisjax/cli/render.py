@@ -23,12 +23,12 @@ from irisjax.render.picture import (
     draw_bands,
     exposure_of_white,
     illuminate,
-    prepared_scene,
+    prepare_scene,
     respond,
     shade,
     texture,
 )
-from irisjax.render.project import look
+from irisjax.render.project import project_visible
 from irisjax.render.scene import Scene
 
 _CHANGES = ("pupil", "light", "pigment", "camera")
@@ -221,7 +221,11 @@ def frames(
     if change == "light":
         scene = scene.replace(lights=lamp(1.0), environment=None)
     # The tables do not depend on what changes: the lamp stays below grazing.
-    scene, tables, view = prepared_scene(scene), tables_of(scene), look(scene.eye, scene.camera)
+    scene, tables, view = (
+        prepare_scene(scene),
+        tables_of(scene),
+        project_visible(scene.eye, scene.camera),
+    )
     texels = texture(view, scene)
     light = illuminate(view, texels, scene, tables)
     response = respond(scene)
@@ -237,12 +241,12 @@ def frames(
         elif change == "camera":
             polar, azimuth = aside(s, _SWING)
             camera = dataclasses.replace(scene.camera, polar=polar, azimuth=azimuth)
-            view = look(scene.eye, camera)
+            view = project_visible(scene.eye, camera)
             texels = texture(view, scene)
             light = illuminate(view, texels, scene, tables)
         else:
             radius = (_NARROW + _WIDE) / 2 - (_WIDE - _NARROW) / 2 * s
-            wider = prepared_scene(with_pupil(scene, radius))
+            wider = prepare_scene(with_pupil(scene, radius))
             texels, response = texture(view, wider), respond(wider)
             light = illuminate(view, texels, wider, tables)
         yield np.asarray(shade(view, texels, light, response))

@@ -213,7 +213,7 @@ def _white(scene: Scene) -> np.ndarray | None:
     """Albedo of the white, linear sRGB (azimuths, polars, 3)."""
     if scene.eye.sclera is None:
         return None
-    bands = colour_bands(scene.illuminant, scene.observer, every=True)
+    bands = colour_bands(scene.illuminant, scene.observer, all_wavelengths=True)
     table = colour_table(scene.eye.sclera, np.asarray(bands.wavelengths), bands.weights)
     v = scene.veins
     blood = Blood(jnp.zeros((2, 2))) if v is None else Blood(v.depth, v.cover, v.deep)

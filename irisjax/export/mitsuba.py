@@ -32,7 +32,7 @@ def mitsuba_scene(scene: Scene, *, relief: bool, white: _Rgb | None, haze: _Rgb 
         haze: Transmittance of one passage of the cornea, linear sRGB; `None` for a clear one.
     """
     eye, camera = scene.eye, scene.camera
-    origin = np.asarray(camera.place(eye), np.float64)
+    origin = np.asarray(camera.position(eye), np.float64)
     target = np.array([0.0, 0.0, float(eye.iris_depth)])
     distance, width = float(camera.distance), float(camera.width)
     # Like the camera itself: upright along the eye's y, or along z where it looks along y.

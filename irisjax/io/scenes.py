@@ -32,7 +32,7 @@ from irisjax.io.sections import (
 from irisjax.io.text import read_text
 from irisjax.measure.colour import illuminant_power
 from irisjax.numerics.checks import Range
-from irisjax.render.camera import CAMERA_LIMITS, LARGEST, Camera
+from irisjax.render.camera import CAMERA_LIMITS, MAX_SIDE, Camera
 from irisjax.render.environment import ENVIRONMENTS
 from irisjax.render.integrators import INTEGRATORS, integrator_name, refine_table
 from irisjax.render.lights import LIGHT_LIMITS, Lights
@@ -372,7 +372,7 @@ SECTIONS: dict[str, dict[str, EntryCheck]] = {
         "distance": CAMERA_LIMITS["distance"],
         "width": CAMERA_LIMITS["width"],
         "images": CAMERA_LIMITS["images"],
-        "size": listed("[width, height]", range(1, LARGEST + 1)),
+        "size": listed("[width, height]", range(1, MAX_SIDE + 1)),
     },
     "light": {
         "polar_deg": Range(0, 180),

@@ -59,7 +59,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrators import refine_table
 from irisjax.render.lights import Lights
 from irisjax.render.picture import LitView, illuminate, respond, shade, surroundings, texture
-from irisjax.render.project import View, look, onto_picture
+from irisjax.render.project import View, project_visible, scatter_to_picture
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
 from irisjax.render.separable import Separable
@@ -240,7 +240,7 @@ class Lit(Shaped):
         seen = self.view.mirror
         if seen is None:
             return np.zeros((*self.clear.shape, 1), np.float32)
-        return onto_picture(seen, np.asarray(seen.reflectance)[:, None], self.clear.shape)
+        return scatter_to_picture(seen, np.asarray(seen.reflectance)[:, None], self.clear.shape)
 
 
 @dataclass(frozen=True)
@@ -448,7 +448,7 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
             "the outlines do not fit one another: the eye's middle lies off the limbus"
         )
     cut = slice(y, y + rows), slice(x, x + columns)
-    view, pixels, clear = look(pose.eye, pose.camera), part.pixels[cut], clear[cut]
+    view, pixels, clear = project_visible(pose.eye, pose.camera), part.pixels[cut], clear[cut]
     limbus = part.limbus.moved(-x, -y)
     if lids.any():
         clear = clear & ~find_mirrored_face(pixels, part.outside[cut], limbus, view.mirror)
@@ -588,9 +588,9 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
     seen = fitted.view.iris
     assert seen is not None
     x, y = map(np.asarray, seen.point[:2])
-    radius = onto_picture(seen, np.hypot(x, y), shape)
+    radius = scatter_to_picture(seen, np.hypot(x, y), shape)
     shown = fitted.clear & iris_alone(fitted.pose)
-    ring = onto_picture(seen, ring_radius(eye, x, y), shape)
+    ring = scatter_to_picture(seen, ring_radius(eye, x, y), shape)
     clear = shown & (ring > float(eye.pupil_radius + eye.pupil_margin))
     target = fitted.unveiled() / fitted.exposure
     if fitted.veil is None:
@@ -685,7 +685,7 @@ def _light_on_part(lit: Lit) -> np.ndarray | None:
         return None
     x, y = map(np.asarray, seen.point[:2])
     irradiance = light_at(x, y, lit.lighting.lights(), lit.pose.eye, lit.tables)
-    return onto_picture(seen, irradiance, lit.pose.camera.shape)
+    return scatter_to_picture(seen, irradiance, lit.pose.camera.shape)
 
 
 def _thickness_by_model(

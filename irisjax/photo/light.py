@@ -13,7 +13,7 @@ from irisjax.photo.texture import Unrefracted, sampled
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.project import View, onto_picture
+from irisjax.render.project import View, scatter_to_picture
 from irisjax.render.scene import ENVIRONMENT_LIGHTS
 from irisjax.render.shading import incident_flux
 
@@ -69,7 +69,9 @@ def find_lighting(part: Colours, limbus: Ellipse, pose: Pose, view: View) -> Lig
     """
     seen, shape, found = view.mirror, pose.camera.shape, list[tuple[Any, float]]()
     if seen is not None:
-        directions = onto_picture(seen, np.stack([np.asarray(c) for c in seen.mirror], -1), shape)
+        directions = scatter_to_picture(
+            seen, np.stack([np.asarray(c) for c in seen.mirror], -1), shape
+        )
         brightness = part.max(-1)
         middle = limbus.radii(shape) < _WITHIN
         usual = np.median(brightness[middle])
@@ -108,7 +110,7 @@ def find_veil(
     film, inside = view.mirror, pupil.radii(clear.shape) < _INSIDE
     if film is None or not inside.any():
         return None
-    reflectance = onto_picture(film, np.asarray(film.reflectance), clear.shape)[..., None]
+    reflectance = scatter_to_picture(film, np.asarray(film.reflectance), clear.shape)[..., None]
     mirrored = pixels / np.maximum(reflectance, 1e-6)
     found = np.quantile(mirrored[inside], 0.25, axis=0)
     if clear.any():

@@ -13,7 +13,7 @@ from skimage import filters, measure, morphology
 from irisjax.photo.edges import by_channel
 from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
 from irisjax.photo.texture import LUMINANCE_WEIGHTS, Unrefracted, masked_mean
-from irisjax.render.project import MirrorPixels, onto_picture
+from irisjax.render.project import MirrorPixels, scatter_to_picture
 
 _MOST_ACROSS = 1100  # most pixels across the iris; larger pictures are averaged
 _RESOLUTION = 400  # px along the longer side of the picture in which masks are sought
@@ -112,7 +112,7 @@ def find_mirrored_face(
     radius, luminance = limbus.radii(outside.shape), pixels @ LUMINANCE_WEIGHTS
     inside, around = radius < 1, (radius > _AROUND[0]) & (radius < _AROUND[1]) & ~outside
     parts = np.asarray(mirror.mirror[2]), np.asarray(mirror.reflectance)
-    back, reflectance = (onto_picture(mirror, part, outside.shape) for part in parts)
+    back, reflectance = (scatter_to_picture(mirror, part, outside.shape) for part in parts)
     face = inside & (back > -np.cos(np.radians(_FACE_ANGLE))) & (reflectance > 0)
     if not (face.any() and around.any()):
         return np.zeros_like(outside)

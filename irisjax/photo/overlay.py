@@ -13,7 +13,7 @@ from irisjax.photo.edges import reduce_picture
 from irisjax.photo.eye_colour import RINGS, EyeColour, RegionColour, depth_in_iris
 from irisjax.photo.masks import Part, place_of_part
 from irisjax.photo.photograph import Colours, Ellipse
-from irisjax.render.project import onto_picture
+from irisjax.render.project import scatter_to_picture
 
 _LONG = 1200  # px along the long side
 # Blue beside green is told apart by those who do not tell red from green.
@@ -113,7 +113,7 @@ def _lamps(found: Lit) -> list[tuple[float, float]]:
     (x, y), _, reduction = place_of_part(found.boundaries.limbus)
     left, top = found.pose.corner
     directions = np.stack([np.asarray(c) for c in seen.mirror], -1)
-    directions = onto_picture(seen, directions, found.clear.shape)
+    directions = scatter_to_picture(seen, directions, found.clear.shape)
     places = []
     for towards in np.asarray(lamps.towards)[:_MOST_LAMPS]:
         row, column = np.unravel_index(np.argmax(directions @ towards), found.clear.shape)

@@ -32,7 +32,7 @@ from irisjax.photo.texture import MAP_SHAPE, Refraction, fill_holes, half_size, 
 from irisjax.render import picture
 from irisjax.render import polynomials as products
 from irisjax.render.illumination import Illumination
-from irisjax.render.project import View, onto_picture
+from irisjax.render.project import View, scatter_to_picture
 from irisjax.render.scene import Scene
 from irisjax.render.shading import IrisModel, scale_ranges
 from irisjax.tissue.iris import Iris
@@ -202,7 +202,7 @@ def colour_iris(
         terms = terms if mixtures is None else jnp.einsum("pkc,kr->prc", terms, mixtures)
         return TexelResponse(terms, ranges, made.degrees, float(made.error), made)
 
-    functions = onto_picture(seen, flat, shape)
+    functions = scatter_to_picture(seen, flat, shape)
     logs = np.stack([usual, 0 * usual, 0 * usual], -1)
     target, functions, logs = (np.asarray(x, np.float32) for x in (target, functions, logs))
     levels = [Seen(target, functions, logs, known)]
@@ -249,7 +249,7 @@ def colour_iris(
     # What the maps themselves leave, after all interpolation.
     parts = integrator.texels(seen, front._replace(iris=iris, maps=maps_of(logs)), ranges)
     drawn = picture.within_gamut(response.made.shade(seen, parts, shone))
-    drawn = np.maximum(onto_picture(seen, np.asarray(drawn).T, shape), 1e-9)
+    drawn = np.maximum(scatter_to_picture(seen, np.asarray(drawn).T, shape), 1e-9)
     ratio = np.where(shown[..., None], target / gain / drawn, 1.0)
     residual = polar(np.log(np.clip(ratio, KEPT.low, KEPT.high)), shown)
     both = fill_by_texture(np.concatenate([logs, residual]), hidden)

@@ -14,7 +14,7 @@ from irisjax.photo.edges import by_channel
 from irisjax.photo.photograph import Brightness, Mask
 from irisjax.photo.pose import Pose, iris_points, project_iris_points
 from irisjax.render import environment
-from irisjax.render.project import View, onto_picture
+from irisjax.render.project import View, scatter_to_picture
 
 HALF_WIDTH = 6.0  # of a texture, which is centred on the eye's axis, mm
 LUMINANCE_WEIGHTS = np.array(environment.LUMINANCE, np.float32)
@@ -206,7 +206,7 @@ def pixels_shown(view: View, visible: Mask, shape: tuple[int, int]) -> np.ndarra
     x, y = map(np.asarray, seen.point[:2])
     texel = 2 * HALF_WIDTH / size
     column, row = (np.clip(((c + HALF_WIDTH) / texel).astype(int), 0, size - 1) for c in (x, -y))
-    return onto_picture(seen, visible[row, column].astype(np.float32), shape) > 0.5
+    return scatter_to_picture(seen, visible[row, column].astype(np.float32), shape) > 0.5
 
 
 def sampled(

@@ -24,7 +24,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import solve_response
 from irisjax.render.lights import Lights
 from irisjax.render.outside import mirrored_environment
-from irisjax.render.project import IRIS, SCLERA, IrisPixels, View, onto_picture
+from irisjax.render.project import IRIS, SCLERA, IrisPixels, View, scatter_to_picture
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS
 from irisjax.render.separable import Separable
@@ -234,7 +234,7 @@ def iris_alone(pose: Pose) -> np.ndarray:
     """
     rows, columns = pose.camera.shape
     every = jnp.arange(rows * columns, dtype=jnp.int32)
-    seen = np.asarray(project.seen_parts(every, pose.eye, pose.camera))
+    seen = np.asarray(project.visible_parts(every, pose.eye, pose.camera))
     return (seen & (IRIS | SCLERA) == IRIS).reshape(rows, columns)
 
 
@@ -310,7 +310,7 @@ def _tear_film(view: View, shape: tuple[int, int], environment: Environment | No
     room = np.zeros((len(reflectance), 3))
     if environment is not None:
         room = reflectance[:, None] * np.asarray(mirrored_environment(mirror, environment)).T
-    return onto_picture(mirror, reflectance, shape), onto_picture(mirror, room, shape)
+    return scatter_to_picture(mirror, reflectance, shape), scatter_to_picture(mirror, room, shape)
 
 
 def _windows_of_pixels(seen: IrisPixels, clear, eye: Eye):

@@ -8,6 +8,6 @@ from .picture import illuminate as illuminate
 from .picture import respond as respond
 from .picture import shade as shade
 from .picture import texture as texture
-from .project import look as look
+from .project import project_visible as project_visible
 from .single_scattering import SingleScattering as SingleScattering
 from .single_scattering import TabulatedSingleScattering as TabulatedSingleScattering

@@ -1,4 +1,4 @@
-"""A pinhole camera that looks at the eye: its lines of sight, and where it puts points."""
+"""A pinhole camera that looks at the eye: its rays, and the pixels of points."""
 
 import dataclasses
 
@@ -21,9 +21,9 @@ CAMERA_LIMITS = {
     "images": Range(0, 1),
 }
 """Allowed range of each number of a camera."""
-LARGEST = 16384
-"""Most pixels along a side."""
-_CLEAR = 40.0  # mm from the middle of the pupil: all of any eye is nearer
+MAX_SIDE = 16384
+"""Largest number of pixels along a side."""
+_CLEARANCE = 40.0  # mm from the middle of the pupil; every part of an eye is nearer
 
 
 class Camera(eqx.Module):
@@ -31,13 +31,13 @@ class Camera(eqx.Module):
     sees).
 
     Attributes:
-        polar: Polar angle of its place as seen from the eye, radians; 0 is straight ahead.
-        azimuth: Azimuth of its place, radians.
+        polar: Polar angle of its position as seen from the eye, radians; 0 is straight ahead.
+        azimuth: Azimuth of its position, radians.
         distance: Distance to the centre of the pupil, mm.
         width: Width of the field there, mm.
-        size: Width and height, pixels.
-        first: First row that it takes, see `taking`.
-        rows: Number of rows that it takes; `None` for all.
+        size: Width and height of the picture, pixels.
+        first: First row of a band of the picture, see `crop_rows`.
+        rows: Number of rows of the band; `None` for the whole picture.
         images: Share of the images in the tear film that it receives: 0 through crossed polarisers.
 
     Raises:
@@ -56,17 +56,17 @@ class Camera(eqx.Module):
     def __check_init__(self) -> None:
         whole = self.rows is None  # the parts of a picture may be finer
         if not all(
-            isinstance(n, int) and n >= 1 and (n <= LARGEST or not whole) for n in self.size
+            isinstance(n, int) and n >= 1 and (n <= MAX_SIDE or not whole) for n in self.size
         ):
             raise ValueError(
-                f"camera size {self.size} must be two whole numbers from 1 to {LARGEST}"
+                f"camera size {self.size} must be two whole numbers from 1 to {MAX_SIDE}"
             )
         for name, allowed in CAMERA_LIMITS.items():
             check_range(f"camera {name}", getattr(self, name), allowed)
 
-    def taking(self, first: int, rows: int, samples: int = 1) -> "Camera":
-        """The same camera that takes only some rows of its picture, counted from 0 at the top, and
-        in place of each pixel samples × samples smaller ones.
+    def crop_rows(self, first: int, rows: int, samples: int = 1) -> "Camera":
+        """Return the camera of a band of rows of its picture, counted from 0 at the top, in which
+        each pixel is replaced by samples × samples smaller ones.
 
         Raises:
             ValueError: The picture has no such rows.
@@ -75,19 +75,21 @@ class Camera(eqx.Module):
             raise ValueError(
                 f"rows {first} to {first + rows - 1} are not in a picture of {self.size[1]}"
             )
-        # A traced number: one program for all parts of a picture.
+        # An array, so that one compiled program serves all bands of a picture.
         start, size = jnp.asarray(first * samples, jnp.int32), tuple(n * samples for n in self.size)
         return dataclasses.replace(self, size=size, first=start, rows=rows * samples)
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Numbers of rows and columns that it takes."""
+        """Numbers of rows and columns of the picture or its band."""
         return (self.size[1] if self.rows is None else self.rows), self.size[0]
 
     def axes(self) -> tuple[Vector, Vector, Vector]:
-        """Unit vectors (3,) from the eye to the camera, to the right and up in the picture."""
+        """Return unit vectors (3,) from the eye to the camera, to the right and up in the
+        picture.
+        """
         back = direction_of(self.polar, self.azimuth)
-        # Upright wherever it stands: the eye's y, or its z for a camera straight above or below.
+        # Up is the eye's y, or its z for a camera straight above or below.
         y = jnp.asarray([0.0, 1.0, 0.0], back.dtype)
         up = y - dot(y, back) * back
         length = norm(up)
@@ -96,16 +98,16 @@ class Camera(eqx.Module):
         up = jnp.where(upright, up / jnp.where(upright, length, 1.0), z)
         return back, jnp.cross(up, -back), up
 
-    def place(self, eye: Eye, share: Scalar | float = 1.0) -> Vector:
-        """Where it stands, (3,), or at a `share` of its polar angle."""
-        return _centre(eye) + self.distance * direction_of(share * self.polar, self.azimuth)
+    def position(self, eye: Eye, share: Scalar | float = 1.0) -> Vector:
+        """Return the camera's position (3,), mm, or that at a `share` of its polar angle."""
+        return _pupil_centre(eye) + self.distance * direction_of(share * self.polar, self.azimuth)
 
-    def towards(self, index: Int[Array, " pixels"], eye: Eye) -> tuple[Vector, Vector]:
-        """Points near the eye at which lines of sight begin, (pixels, 3), and their unit
-        directions, (pixels, 3), for pixels counted along the rows.
+    def rays(self, index: Int[Array, " pixels"], eye: Eye) -> tuple[Vector, Vector]:
+        """Return the origins (pixels, 3), mm, and unit directions (pixels, 3) of the rays of pixels
+        that are numbered along the rows.
 
-        The points lie in front of all of the eye, or at the camera where that is nearer: counted
-        from a camera metres away, single precision would lose the eye.
+        Origins lie in front of the whole eye, or at the camera where that is nearer: measured from
+        a camera metres away, points of the eye would be lost to single precision.
         """
         back, right, up = self.axes()
         w, h = self.size
@@ -116,22 +118,24 @@ class Camera(eqx.Module):
         x = (column.astype(back.dtype) + 0.5 - w / 2) * pitch
         y = -(row.astype(back.dtype) + 0.5 - h / 2) * pitch
         x, y = materialise((x, y))
-        # Points aimed at, in the plane through the middle of the pupil; none of them is far.
+        # Points of the rays in the plane through the middle of the pupil, which are all near.
         aim = [x * r + y * u for r, u in zip(right, up, strict=True)]
         aside = x * x + y * y
         length = safe_sqrt(aside + self.distance * self.distance)
         direction = [(a - self.distance * b) / length for a, b in zip(aim, back, strict=True)]
-        # Back from there to the point nearest to the pupil's middle, then out of the eye.
-        out = aside / length + jnp.minimum(_CLEAR, self.distance * (self.distance / length))
-        origin = [c + a - out * d for c, a, d in zip(_centre(eye), aim, direction, strict=True)]
+        # From there to the point nearest to the pupil's middle, then out of the eye.
+        out = aside / length + jnp.minimum(_CLEARANCE, self.distance * (self.distance / length))
+        origin = [
+            c + a - out * d for c, a, d in zip(_pupil_centre(eye), aim, direction, strict=True)
+        ]
         return from_parts(materialise(origin)), from_parts(direction)
 
     def pixel(self, point: Vector, eye: Eye) -> tuple[Float[Array, "*s"], Float[Array, "*s"]]:
-        """Column and row in which points (…, 3) in front of the camera appear along straight lines
-        of sight; whole numbers are the middles of pixels.
+        """Project points (…, 3), mm, in front of the camera along straight lines to columns and
+        rows; whole numbers are the middles of pixels.
         """
         back, right, up = self.axes()
-        near = [p - c for p, c in zip(parts(point), _centre(eye), strict=True)]
+        near = [p - c for p, c in zip(parts(point), _pupil_centre(eye), strict=True)]
         depth, x, y = (
             sum(n * a for n, a in zip(near, axis, strict=True)) for axis in (back, right, up)
         )
@@ -141,7 +145,7 @@ class Camera(eqx.Module):
         return x * scale + w / 2 - 0.5, row if self.first is None else row - self.first
 
 
-def _centre(eye: Eye) -> Vector:
-    """The middle of the pupil, (3,)."""
+def _pupil_centre(eye: Eye) -> Vector:
+    """Return the middle of a centred pupil, (3,)."""
     zero = jnp.zeros_like(eye.iris_depth)
     return jnp.stack([zero, zero, eye.iris_depth])

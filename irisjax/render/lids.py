@@ -130,11 +130,11 @@ def meet_lids(eye: Eye, origin: Vector, direction: Vector) -> Float[Array, " pix
 
 
 @pixelwise
-def lid_pixels(index: Array, eye: Eye, camera: Camera) -> LidPixels:
+def trace_lids(index: Array, eye: Eye, camera: Camera) -> LidPixels:
     """Trace pixels of these numbers to the lids."""
     lids, centre = eye.lids, sclera_centre(eye)
     assert lids is not None
-    origin, direction = camera.towards(index, eye)
+    origin, direction = camera.rays(index, eye)
     point = advance(origin, meet_lids(eye, origin, direction), direction)
     x, y, _ = parts(point)
     edge = lids.edge(x, y)

@@ -193,7 +193,7 @@ def sclera_base_colour(
     if veins is not None:
         # Materialised: XLA would compute the place again for each texture, and the blood again for
         # each channel.
-        place = materialise(GlobeSurface(eye).place(from_parts(pixels.point)))
+        place = materialise(GlobeSurface(eye).texture_coordinates(from_parts(pixels.point)))
         blood = materialise(sample_veins(veins, *place))
     share = (1 - pixels.reflectance) * pixels.share / jnp.pi
     return jnp.stack(table.channels(blood)) * share

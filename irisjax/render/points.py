@@ -1,7 +1,7 @@
 """Texel to pixel: where points of the eye appear in a camera.
 
-`project` goes the other way, from pixels to points. Points of the iris appear where their light
-leaves the cornea; Newton's search finds it, Fermat's principle has the same solution.
+`project` goes the other way, from pixels to points. A point of the iris appears where its light
+leaves the cornea, which Newton's method finds; Fermat's principle has the same solution.
 """
 
 from typing import NamedTuple
@@ -17,13 +17,17 @@ from irisjax.render.camera import Camera
 from irisjax.render.refraction import cornea_point, newton_step, refract_to_iris, search_radius
 from irisjax.render.surfaces import AbstractSurface, CorneaSurface, GlobeSurface, IrisSurface
 
-_CLOSE = 1e-3  # mm by which a line of sight may miss the point it was searched for
-_STEPS = 8  # polar angles from straight ahead to the camera's
+_TOLERANCE = 1e-3  # mm by which a line of sight may miss its target
+_STEPS = 8  # polar angles from straight ahead to the camera's, at which the search is continued
 
 
 class Pixels(NamedTuple):
-    """Where points appear: `column` and `row`, whole numbers in the middles of pixels, and whether
-    the camera sees them; they may lie outside the picture.
+    """Where points appear in a camera.
+
+    Attributes:
+        column: Columns, whole numbers in the middles of pixels; they may lie outside the picture.
+        row: Rows, likewise.
+        visible: Whether the camera sees the points.
     """
 
     column: Float[Array, "*s"]
@@ -32,7 +36,7 @@ class Pixels(NamedTuple):
 
 
 def project_points(surface: AbstractSurface, camera: Camera, point: Vector) -> Pixels:
-    """Where points (…, 3) of a surface, mm in the eye's frame, appear in a camera.
+    """Project points (…, 3) of a surface, mm in the eye's frame, to a camera's pixels.
 
     The iris is seen through the cornea, if there is one. Pure: works under `jit`, `vmap` and
     `grad`.
@@ -40,49 +44,53 @@ def project_points(surface: AbstractSurface, camera: Camera, point: Vector) -> P
     eye = surface.eye
     shape, flat = point.shape[:-1], point.reshape(-1, 3)
     if isinstance(surface, IrisSurface) and eye.cornea is not None:
-        shown, visible = jax.vmap(lambda p: _through_cornea(eye, camera, p))(flat)
+        apparent, visible = jax.vmap(lambda p: _through_cornea(eye, camera, p))(flat)
     else:
-        shown, visible = flat, _in_sight(surface, camera, flat)
-    column, row = camera.pixel(shown, eye)
+        apparent, visible = flat, _is_visible(surface, camera, flat)
+    column, row = camera.pixel(apparent, eye)
     return Pixels(column.reshape(shape), row.reshape(shape), visible.reshape(shape))
 
 
-def _towards(camera: Camera, eye: Eye, point: Vector, share=1.0) -> Vector:
-    """Unit vectors from a camera that stands at a `share` of its polar angle to points."""
-    way = point - camera.place(eye, share)
-    return way / norm(way)[..., None]
+def _view_directions(camera: Camera, eye: Eye, point: Vector, share=1.0) -> Vector:
+    """Return unit vectors to points from a camera at a `share` of its polar angle."""
+    offset = point - camera.position(eye, share)
+    return offset / norm(offset)[..., None]
 
 
 def _through_cornea(eye: Eye, camera: Camera, target: Float[Array, "3"]):
-    """The point of the cornea at which a point of the iris appears, and whether it does."""
+    """Find the point of the cornea at which a point of the iris appears, and whether it does."""
     cornea = eye.cornea
     assert cornea is not None
     reach = search_radius(cornea)
 
     def landing(entry, share):
-        front = cornea_point(cornea, entry)
-        return refract_to_iris(eye, front, _towards(camera, eye, front, share))
+        entry_point = cornea_point(cornea, entry)
+        return refract_to_iris(eye, entry_point, _view_directions(camera, eye, entry_point, share))
 
     def newton(entry, share):
         return newton_step(lambda k: landing(k, share).point[:2], entry, target[:2], reach), None
 
-    # From straight ahead, where the entry is near the point, to the side, step by step.
+    # Continued from straight ahead, where the entry is near the target, to the camera's angle.
     shares = jnp.asarray([*np.repeat(np.linspace(0.0, 1.0, _STEPS), 2), *np.ones(6)], target.dtype)
     entry = jax.lax.scan(newton, 0.9 * target[:2], shares)[0]
-    found, front = landing(entry, 1.0), cornea_point(cornea, entry)
+    landed, entry_point = landing(entry, 1.0), cornea_point(cornea, entry)
     edge = eye.limbus_radius + (0.0 if eye.sclera is None else eye.limbus_width / 2)
-    facing = dot(_towards(camera, eye, front), cornea.anterior.normal(front)) < 0
-    close = norm(found.point[:2] - target[:2]) < _CLOSE
-    return front, close & facing & (norm(entry) < edge) & (found.share > 0)
+    facing = (
+        dot(_view_directions(camera, eye, entry_point), cornea.anterior.normal(entry_point)) < 0
+    )
+    close = norm(landed.point[:2] - target[:2]) < _TOLERANCE
+    return entry_point, close & facing & (norm(entry) < edge) & (landed.share > 0)
 
 
-def _in_sight(surface: AbstractSurface, camera: Camera, point: Vector):
-    """Whether points show their outer side to a camera, and the cornea does not hide them."""
+def _is_visible(surface: AbstractSurface, camera: Camera, point: Vector):
+    """Return whether points turn their outer side to a camera, and the cornea does not hide
+    them.
+    """
     eye = surface.eye
-    towards = _towards(camera, eye, point)
+    towards = _view_directions(camera, eye, point)
     facing = dot(towards, surface.normal(point)) < 0
     if eye.cornea is None or not isinstance(surface, GlobeSurface):
         return facing
     start = point - 60.0 * towards  # outside the eye
-    hidden = CorneaSurface(eye).meet(start, towards)[1]
+    hidden = CorneaSurface(eye).intersect(start, towards)[1]
     return facing & ~hidden

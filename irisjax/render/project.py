@@ -27,13 +27,15 @@ from irisjax.optics.conicoid import (
     refract_vector,
 )
 from irisjax.render.camera import Camera
-from irisjax.render.lids import LidPixels, lash_coverage, lid_pixels, meet_lids, meniscus_normal
+from irisjax.render.lids import LidPixels, lash_coverage, meet_lids, meniscus_normal, trace_lids
 from irisjax.render.refraction import cornea_point, refract_to_iris
 from irisjax.render.surfaces import CorneaSurface, GlobeSurface, IrisSurface
 
 IRIS, SCLERA, MIRROR, LIDS = 1, 2, 4, 8
-"""What a pixel may see, to be added up."""
-_PAD = 2048  # least block of pixels to which `look` pads a part; else an eighth of them at most
+"""Flags of the parts that a pixel sees; `MIRROR` is the tear film."""
+# `project_visible` pads the pixels of a part to a multiple of this number or, if it is larger, of
+# about a sixteenth to an eighth of them.
+_PAD = 2048
 
 
 class IrisPixels(eqx.Module):
@@ -45,9 +47,9 @@ class IrisPixels(eqx.Module):
         point: Point of the iris, mm.
         direction: Direction of the line of sight in the chamber, into the eye.
         cosine: Cosine of the exit angle to the flat iris.
-        share: Share transmitted on the way out, over n² of the chamber, times the blend at the
-            limbus; 0 where the iris is not seen.
-        turn: Angle by which the maps are turned for each pixel, radians; `None` for none.
+        share: Share transmitted on the way out, over n² of the chamber, times the share of the
+            pixel that is iris at the limbus; 0 where the iris is not visible.
+        turn: Angle by which the maps are rotated for each pixel, radians; `None` for none.
     """
 
     index: Int[Array, " pixels"] | None
@@ -66,7 +68,8 @@ class ScleraPixels(eqx.Module):
         point: Point of the tear film, mm.
         normal: Normal of the globe there.
         reflectance: Reflectance of the film.
-        share: Share of sclera, which blends with the iris at the limbus; 0 where it is not seen.
+        share: Share of the pixel that is sclera, which blends with the iris at the limbus; 0 where
+            it is not visible.
     """
 
     index: Int[Array, " pixels"] | None
@@ -83,7 +86,7 @@ class MirrorPixels(eqx.Module):
         index: As of `IrisPixels`.
         point: Point of the tear film, mm.
         mirror: Direction of the mirrored line of sight.
-        reflectance: Reflectance of the film; 0 beside it.
+        reflectance: Reflectance of the film; 0 where it is not visible.
     """
 
     index: Int[Array, " pixels"] | None
@@ -92,16 +95,21 @@ class MirrorPixels(eqx.Module):
     reflectance: Float[Array, " pixels"]
 
 
-SeenPart = IrisPixels | ScleraPixels | MirrorPixels | LidPixels
+VisiblePart = IrisPixels | ScleraPixels | MirrorPixels | LidPixels
 """Pixels that may see a part of the eye, or its lids."""
 
 
 class View(eqx.Module):
     """The parts of an eye that a camera sees; absent parts are `None`.
 
+    Shares and reflectances of the parts include what lashes cover.
+
     Attributes:
-        iris, sclera, mirror, lids: The pixels that see each part, less what lashes cover of them.
+        iris: The pixels that see the iris.
+        sclera: The pixels that see the sclera.
+        mirror: The pixels that see the tear film.
         size: Columns and rows of the picture.
+        lids: The pixels that see lids.
         lashes: Share of each pixel of the picture that lashes cover.
     """
 
@@ -113,164 +121,169 @@ class View(eqx.Module):
     lashes: Float[Array, " pixels"] | None = None
 
 
-def pixel_numbers(part: SeenPart) -> Int[np.ndarray, " pixels"]:
-    """Number of each pixel of a part, counted along the picture's rows; −1 for padding."""
+def pixel_numbers(part: VisiblePart) -> Int[np.ndarray, " pixels"]:
+    """Return the number of each pixel of a part, counted along the picture's rows; −1 is
+    padding.
+    """
     count = jax.tree.leaves(part)[-1].shape[-1]
     return np.arange(count) if part.index is None else np.asarray(part.index)
 
 
-def onto_picture(
-    part: SeenPart,
+def scatter_to_picture(
+    part: VisiblePart,
     values: Shaped[np.ndarray, "pixels *channels"],
     shape: tuple[int, int],
 ) -> Shaped[np.ndarray, "rows columns *channels"]:
-    """Values of a part's pixels where these are in the picture, 0 elsewhere."""
-    number = pixel_numbers(part)
-    found = np.zeros((shape[0] * shape[1], *values.shape[1:]), values.dtype)
-    found[number[number >= 0]] = values[number >= 0]
-    return found.reshape(*shape, *values.shape[1:])
+    """Write the values of a part's pixels into a picture that is 0 elsewhere."""
+    index = pixel_numbers(part)
+    picture = np.zeros((shape[0] * shape[1], *values.shape[1:]), values.dtype)
+    picture[index[index >= 0]] = values[index >= 0]
+    return picture.reshape(*shape, *values.shape[1:])
 
 
 def project(eye: Eye, camera: Camera) -> View:
-    """Find what each pixel of a camera sees of an eye: all pixels for each part, in the order of
+    """Find what each pixel of a camera sees of an eye. Each part has all pixels, in the order of
     the picture.
 
-    Pure, of fixed shapes: works under `jit`, `vmap` and `grad`. A part that a pixel does not see
-    has a share of 0 and finite values. Edges of the globe against nothing are sharp, and have no
-    derivatives.
+    Pure, with fixed shapes: works under `jit`, `vmap` and `grad`. Where a pixel does not see a
+    part, its share is 0 and all values are finite. The globe's edge against the background is
+    sharp, and has no derivatives.
     """
     rows, columns = camera.shape
     index = jnp.arange(rows * columns, dtype=jnp.int32)
-    film, white = eye.cornea is not None, eye.cornea is not None and eye.sclera is not None
-    parts: Any = (iris_pixels, True), (sclera_pixels, white), (mirror_pixels, film)
-    found = (pixels(index, eye, camera) if there else None for pixels, there in parts)
-    every = [None if p is None else dataclasses.replace(p, index=None) for p in found]
+    has_cornea = eye.cornea is not None
+    has_sclera = has_cornea and eye.sclera is not None
+    tracers: Any = (trace_iris, True), (trace_sclera, has_sclera), (trace_tear_film, has_cornea)
+    projected = (trace(index, eye, camera) if present else None for trace, present in tracers)
+    shown = [None if p is None else dataclasses.replace(p, index=None) for p in projected]
     if eye.lids is None:
-        return View(*every, size=(columns, rows))
-    skin = jnp.where(seen_parts(index, eye, camera) == LIDS, 1.0, 0.0)
-    every = [None if p is None else _dimmed(p, 1 - skin) for p in every]
-    lids = _dimmed(dataclasses.replace(lid_pixels(index, eye, camera), index=None), skin)
-    return _behind_lashes(View(*every, size=(columns, rows), lids=lids), eye, camera)
+        return View(*shown, size=(columns, rows))
+    lid_share = jnp.where(visible_parts(index, eye, camera) == LIDS, 1.0, 0.0)
+    shown = [None if p is None else _attenuate(p, 1 - lid_share) for p in shown]
+    lids = _attenuate(dataclasses.replace(trace_lids(index, eye, camera), index=None), lid_share)
+    return _attenuate_by_lashes(View(*shown, size=(columns, rows), lids=lids), eye, camera)
 
 
-def look(eye: Eye, camera: Camera) -> View:
-    """Compute `project` with only those pixels of each part that see it.
+def project_visible(eye: Eye, camera: Camera) -> View:
+    """Compute `project` with only those pixels of each part that see it, padded.
 
-    Runs on the host, for speed: the number of pixels decides the shapes.
+    It is faster, but their number decides the shapes: it runs on the host, not under `jit`.
     """
     rows, columns = camera.shape
     count = rows * columns
-    every = np.arange(count, dtype=np.int32)
-    sees = np.asarray(seen_parts(jnp.asarray(every), eye, camera))
+    all_pixels = np.arange(count, dtype=np.int32)
+    visible = np.asarray(visible_parts(jnp.asarray(all_pixels), eye, camera))
 
-    def of(part: int, pixels: Callable[..., Any]) -> Any:
-        index = np.flatnonzero(sees & part)
+    def select(part: int, trace: Callable[..., Any]) -> Any:
+        index = np.flatnonzero(visible & part)
         if not index.size:
             return None
         if index.size == count and camera.rows is None:
-            return dataclasses.replace(pixels(every, eye, camera), index=None)
-        # Few different lengths, few compiled programs: a camera that turns must not wait for XLA.
-        # Parts of a picture see anything from nothing to iris all over: programs for one length
-        # cost less than padding.
+            return dataclasses.replace(trace(all_pixels, eye, camera), index=None)
+        # Padding to few different lengths saves compilations, for which a camera that turns would
+        # wait. A band of a picture may see anything from no iris to iris alone: all bands are
+        # padded to one length.
         length = count if camera.rows is not None else index.size
         block = max(_PAD, 1 << max(length.bit_length() - 4, 0)) if count >= _PAD else count
-        more = 0, -(-length // block) * block - index.size
-        found = pixels(np.pad(index.astype(np.int32), more, mode="edge"), eye, camera)
-        numbers = np.pad(index.astype(np.int32), more, constant_values=-1)
-        return dataclasses.replace(found, index=jnp.asarray(numbers))
+        padding = 0, -(-length // block) * block - index.size
+        traced = trace(np.pad(index.astype(np.int32), padding, mode="edge"), eye, camera)
+        numbers = np.pad(index.astype(np.int32), padding, constant_values=-1)
+        return dataclasses.replace(traced, index=jnp.asarray(numbers))
 
-    parts = (IRIS, iris_pixels), (SCLERA, sclera_pixels), (MIRROR, mirror_pixels)
-    view = View(*(of(*part) for part in parts), size=(columns, rows))
+    parts = (IRIS, trace_iris), (SCLERA, trace_sclera), (MIRROR, trace_tear_film)
+    view = View(*(select(*part) for part in parts), size=(columns, rows))
     if eye.lids is None:
         return view
-    view = dataclasses.replace(view, lids=of(LIDS, lid_pixels))
-    return _behind_lashes(view, eye, camera)
+    view = dataclasses.replace(view, lids=select(LIDS, trace_lids))
+    return _attenuate_by_lashes(view, eye, camera)
 
 
-def _behind_lashes(view: View, eye: Eye, camera: Camera) -> View:
-    """The view with what lashes leave of its parts."""
+def _attenuate_by_lashes(view: View, eye: Eye, camera: Camera) -> View:
+    """Reduce the parts of a view by what lashes cover."""
     lashes = lash_coverage(eye, camera)
     if lashes is None:
         return view
     names = "iris", "sclera", "mirror", "lids"
     shown: dict[str, Any] = {
-        name: _dimmed(part, 1 - (lashes if part.index is None else lashes[part.index]))
+        name: _attenuate(part, 1 - (lashes if part.index is None else lashes[part.index]))
         for name in names
         if (part := getattr(view, name)) is not None
     }
     return dataclasses.replace(view, **shown, lashes=lashes)
 
 
-def _dimmed(part: Any, by: Float[Array, " pixels"]) -> Any:
-    """A part with a factor on what pixels see of it."""
+def _attenuate(part: Any, factor: Float[Array, " pixels"]) -> Any:
+    """Multiply what pixels see of a part by a factor."""
     name = "reflectance" if isinstance(part, MirrorPixels) else "share"
-    return dataclasses.replace(part, **{name: getattr(part, name) * by})
+    return dataclasses.replace(part, **{name: getattr(part, name) * factor})
 
 
 @pixelwise
-def seen_parts(index: Array, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]:
-    """What each pixel sees: a sum of `IRIS`, `SCLERA` and `MIRROR`."""
-    origin, direction = camera.towards(index, eye)
+def visible_parts(index: Array, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]:
+    """Find what each pixel sees: a sum of `IRIS`, `SCLERA` and `MIRROR`, or `LIDS`."""
+    origin, direction = camera.rays(index, eye)
     if eye.cornea is None:
-        return jnp.where(IrisSurface(eye).meet(origin, direction)[1], IRIS, 0).astype(jnp.int8)
-    outside = _Outside.met(eye, origin, direction)
-    white = outside.hit & (outside.blend > 0)
-    seen = IRIS * outside.iris + SCLERA * white + MIRROR * outside.hit
+        return jnp.where(IrisSurface(eye).intersect(origin, direction)[1], IRIS, 0).astype(jnp.int8)
+    surface = _OuterSurface.trace(eye, origin, direction)
+    sees_sclera = surface.hit & (surface.blend > 0)
+    visible = IRIS * surface.iris + SCLERA * sees_sclera + MIRROR * surface.hit
     if eye.lids is not None:
-        there = jnp.where(outside.hit, dot(outside.point - origin, direction), jnp.inf)
-        seen = jnp.where(meet_lids(eye, origin, direction) < there, LIDS, seen)
-    return seen.astype(jnp.int8)
+        distance = jnp.where(surface.hit, dot(surface.point - origin, direction), jnp.inf)
+        visible = jnp.where(meet_lids(eye, origin, direction) < distance, LIDS, visible)
+    return visible.astype(jnp.int8)
 
 
 @pixelwise
-def iris_pixels(index: Array, eye: Eye, camera: Camera) -> IrisPixels:
-    """Pixels of these numbers as those that see the iris; those that do not get a share of 0."""
-    origin, direction = camera.towards(index, eye)
-    # Any line of sight to a point that is no edge instead: derivatives are finite there.
+def trace_iris(index: Array, eye: Eye, camera: Camera) -> IrisPixels:
+    """Trace pixels of these numbers to the iris; those that do not see it get a share of 0."""
+    origin, direction = camera.rays(index, eye)
+    # Those get a line of sight to a point away from all edges, where derivatives are finite.
     aside, zero = 0.5 * eye.iris_radius, jnp.zeros_like(eye.iris_radius)
     ahead = jnp.stack([zero, zero, zero + 1])
     if eye.cornea is None:
-        _, seen = IrisSurface(eye).meet(origin, direction)
-        origin = choose(seen, origin, jnp.stack([aside, zero, zero]))
-        direction = choose(seen, direction, ahead)
-        point, _ = IrisSurface(eye).meet(origin, direction)
-        share = jnp.where(seen, 1.0, 0.0)
+        _, visible = IrisSurface(eye).intersect(origin, direction)
+        origin = choose(visible, origin, jnp.stack([aside, zero, zero]))
+        direction = choose(visible, direction, ahead)
+        point, _ = IrisSurface(eye).intersect(origin, direction)
+        share = jnp.where(visible, 1.0, 0.0)
     else:
-        outside = _Outside.met(eye, origin, direction)
+        surface = _OuterSurface.trace(eye, origin, direction)
         front = choose(
-            outside.iris, outside.front, cornea_point(eye.cornea, jnp.stack([aside, zero]))
+            surface.iris, surface.front, cornea_point(eye.cornea, jnp.stack([aside, zero]))
         )
-        direction = choose(outside.iris, direction, ahead)
-        point, direction, passed = refract_to_iris(eye, front, direction)
-        shown = (1 - outside.blend) * _past_ring(eye, from_axis(front))
-        share = passed * jnp.where(outside.iris, shown, 0.0) / eye.aqueous_index**2
+        direction = choose(surface.iris, direction, ahead)
+        point, direction, transmitted = refract_to_iris(eye, front, direction)
+        iris_share = (1 - surface.blend) * _limbal_ring_share(eye, from_axis(front))
+        share = transmitted * jnp.where(surface.iris, iris_share, 0.0) / eye.aqueous_index**2
     cosine = -dot(direction, eye.iris_normal(point))
     share = jnp.where(cosine > 0, share, 0.0)
     return IrisPixels(index, parts(point), parts(direction), jnp.maximum(cosine, 0), share)
 
 
 @pixelwise
-def sclera_pixels(index: Array, eye: Eye, camera: Camera) -> ScleraPixels:
-    """Pixels of these numbers as those that see the white."""
-    outside, _, reflectance = _film(index, eye, camera)
-    share = jnp.where(outside.hit, outside.blend, 0.0)
-    # Within the limbus white lies under clear cornea and is lit as the globe goes on: by the
-    # cornea's normal, some 16° steeper, it would end at a sharp line where light comes from aside.
-    normal = GlobeSurface(eye).normal(outside.point)
-    return ScleraPixels(index, parts(outside.point), parts(normal), reflectance, share)
+def trace_sclera(index: Array, eye: Eye, camera: Camera) -> ScleraPixels:
+    """Trace pixels of these numbers to the sclera."""
+    surface, _, reflectance = _tear_film(index, eye, camera)
+    share = jnp.where(surface.hit, surface.blend, 0.0)
+    # Within the limbus, sclera lies under clear cornea and is lit as if the globe went on: with the
+    # cornea's normal, some 16° steeper, it would end at a sharp line in light from the side.
+    normal = GlobeSurface(eye).normal(surface.point)
+    return ScleraPixels(index, parts(surface.point), parts(normal), reflectance, share)
 
 
 @pixelwise
-def mirror_pixels(index: Array, eye: Eye, camera: Camera) -> MirrorPixels:
-    """Pixels of these numbers as those that see the tear film."""
-    outside, direction, reflectance = _film(index, eye, camera)
-    mirror = parts(reflect_vector(direction, outside.normal))
-    share = jnp.where(outside.hit, reflectance, 0.0)
-    return MirrorPixels(index, parts(outside.point), mirror, share)
+def trace_tear_film(index: Array, eye: Eye, camera: Camera) -> MirrorPixels:
+    """Trace pixels of these numbers to the tear film."""
+    surface, direction, reflectance = _tear_film(index, eye, camera)
+    mirror = parts(reflect_vector(direction, surface.normal))
+    share = jnp.where(surface.hit, reflectance, 0.0)
+    return MirrorPixels(index, parts(surface.point), mirror, share)
 
 
-def _past_ring(eye: Eye, radius):
-    """Share of the iris's light that the limbal ring leaves, at radii of the cornea, mm."""
+def _limbal_ring_share(eye: Eye, radius):
+    """Compute the share of the iris's light that the limbal ring transmits, at distances from the
+    axis in mm.
+    """
     ring = eye.limbal_ring
     if ring is None:
         return 1.0
@@ -278,18 +291,26 @@ def _past_ring(eye: Eye, radius):
     return 1 - ring.darkening * smoothstep((radius - darkest) / ring.fade + 1)
 
 
-def _film(index, eye: Eye, camera: Camera):
-    """Where lines of sight meet the tear film, their directions, and its reflectance."""
-    origin, direction = camera.towards(index, eye)
-    outside = _Outside.met(eye, origin, direction)
+def _tear_film(index, eye: Eye, camera: Camera):
+    """Return where lines of sight meet the tear film, their directions, and its reflectance."""
+    origin, direction = camera.rays(index, eye)
+    surface = _OuterSurface.trace(eye, origin, direction)
     if eye.lids is not None:
-        outside = outside._replace(normal=meniscus_normal(eye, outside.point, outside.normal))
-    return outside, direction, 1 - refract_vector(direction, outside.normal, 1.0, TEAR)[1]
+        surface = surface._replace(normal=meniscus_normal(eye, surface.point, surface.normal))
+    return surface, direction, 1 - refract_vector(direction, surface.normal, 1.0, TEAR)[1]
 
 
-class _Outside(NamedTuple):
-    """Where lines of sight meet the outer surface: on the cornea's conicoid (`front`) or, where
-    they `hit` beside it, on the globe. `blend`: the share of sclera; `iris`: whether it shows."""
+class _OuterSurface(NamedTuple):
+    """Where lines of sight meet the outer surface of the eye.
+
+    Attributes:
+        front: Point on the cornea's conicoid, mm.
+        point: Point of the outer surface: on the cornea or, beside it, on the globe.
+        normal: Unit normal there.
+        blend: Share of sclera, which rises from 0 to 1 across the limbus.
+        hit: Whether the line of sight meets the surface at all.
+        iris: Whether the iris is visible through it.
+    """
 
     front: Vector
     point: Vector
@@ -299,17 +320,17 @@ class _Outside(NamedTuple):
     iris: Bool[Array, " pixels"]
 
     @classmethod
-    def met(cls, eye: Eye, origin, direction) -> "_Outside":
+    def trace(cls, eye: Eye, origin, direction) -> "_OuterSurface":
         cornea, globe = CorneaSurface(eye), GlobeSurface(eye)
-        front, shown, on_cornea = cornea.split(origin, direction)
+        front, in_front, hits_cornea = cornea.intersect_conicoid(origin, direction)
         normal = cornea.normal(front)
         if eye.sclera is None:
-            none = jnp.zeros_like(front[..., 0])
-            return cls(front, front, normal, none, on_cornea, on_cornea)
-        point, on_globe = globe.meet(origin, direction)
-        normal = choose(on_cornea, normal, globe.normal(point))
-        point = choose(on_cornea, front, point)
-        hit = on_cornea | on_globe
+            zero = jnp.zeros_like(front[..., 0])
+            return cls(front, front, normal, zero, hits_cornea, hits_cornea)
+        point, hits_globe = globe.intersect(origin, direction)
+        normal = choose(hits_cornea, normal, globe.normal(point))
+        point = choose(hits_cornea, front, point)
+        hit = hits_cornea | hits_globe
         edge = smoothstep((from_axis(point) - eye.limbus_radius) / eye.limbus_width + 0.5)
         blend = jnp.where(globe.behind(point), 1.0, edge)
-        return cls(front, point, normal, blend, hit, hit & shown & (blend < 1))
+        return cls(front, point, normal, blend, hit, hit & in_front & (blend < 1))

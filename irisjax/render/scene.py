@@ -20,7 +20,7 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, check_pictured
 
 ENVIRONMENT_LIGHTS = 25
-"""Lamps that stand for an environment."""
+"""Number of lamps that approximate an environment."""
 LAMP = 0.6, 2.2
 """Polar angle and azimuth, radians, of the lamp of a scene that has no other light."""
 
@@ -33,18 +33,18 @@ class Scene(eqx.Module):
         maps: Maps of the iris; `None` for a uniform one.
         eye: The eye.
         lights: Lamps, mirrored as discs.
-        environment: Light from all round. It lights iris and sclera as `environment_lights` lamps
-            each, those of the sclera from all directions, and is mirrored itself.
+        environment: Light from all directions. `environment_lights` lamps approximate it on the
+            iris, and as many on the sclera; the tear film mirrors the environment itself.
         camera: The camera.
         veins: Vessels of the sclera (`grow.vessels.veins`).
-        integrator: How the iris sends light back. `Separable()` is ILIT, `RadiativeIntegrator()`
-            radiative transfer, both with all orders of scattering; `SingleScattering()` marches
-            through the maps and holds the first order.
-        environment_lights: Largest number of lamps that stand for the environment.
+        integrator: Method for the radiance of the iris. `Separable()` is ILIT,
+            `RadiativeIntegrator()` radiative transfer, both with all orders of scattering;
+            `SingleScattering()` marches rays through the maps, with the first order alone.
+        environment_lights: Largest number of lamps that approximate the environment.
         illuminant: Spectrum of all lights.
         observer: Standard observer of the colours.
-        wavelengths: A channel of the picture for each, nm, in place of linear sRGB: radiance, 1/sr
-            times π, under the illuminant scaled to 1 at 560 nm.
+        wavelengths: Wavelengths, nm, each a channel of the picture in place of linear sRGB: its
+            radiance, 1/sr times π, under the illuminant scaled to 1 at 560 nm.
 
     Raises:
         ValueError: No light at all; maps without tissue, or tissue without a process; lights of
@@ -79,8 +79,8 @@ class Scene(eqx.Module):
         if lights is not None and lights.illuminant != self.illuminant:
             raise ValueError(f"the lights are {lights.illuminant}, the scene is {self.illuminant}")
         coloured = self.environment is not None or (lights is not None and lights.tint is not None)
-        kept = None if self.maps is None else self.maps.residual
-        if self.wavelengths is not None and kept is not None:
+        residual = None if self.maps is None else self.maps.residual
+        if self.wavelengths is not None and residual is not None:
             raise ValueError(
                 "spectral pictures need maps without a residual, which has colours and no spectrum "
                 "(--no-residual)"
@@ -92,7 +92,7 @@ class Scene(eqx.Module):
             )
         if lights is not None and is_known(lights.radius):
             widest = float(np.max(np.asarray(lights.radius)))
-            # Wider ones stand for regions of an environment, which is mirrored itself.
+            # Wider lights approximate regions of an environment, which is mirrored itself.
             if widest > np.pi / 2 + 1e-6:
                 raise ValueError(
                     f"a lamp's radius = {widest:g} is above pi/2 radians; give an environment "
@@ -111,7 +111,7 @@ class Scene(eqx.Module):
         return self.iris
 
     def replace(self, **parts: object) -> "Scene":
-        """A copy with some parts changed."""
+        """Return a copy with some fields changed."""
         return dataclasses.replace(self, **parts)
 
     def with_pupil(self, radius: float) -> "Scene":
@@ -123,11 +123,11 @@ class Scene(eqx.Module):
         return self.replace(eye=eye, maps=maps)
 
     def tables(self, caustics: bool | None = None) -> Illumination | None:
-        """Compute illumination tables of this eye; `None` without a cornea.
+        """Compute the illumination tables of this eye; `None` without a cornea.
 
         Args:
-            caustics: Whether light may come from so far aside (beyond 80°) that the cornea folds
-                it. By default this follows from the lights; it is true where they are traced.
+            caustics: Whether to include grazing light (beyond 80°), which the cornea folds into
+                caustics; `None` for `grazing()`.
         """
         if self.eye.cornea is None:
             return None
@@ -135,20 +135,20 @@ class Scene(eqx.Module):
         return Illumination.build(self.eye, caustics=caustics)
 
     def grazing(self) -> bool:
-        """Whether a light comes from so far aside that the cornea folds it into caustics; true
-        where the lights are traced.
+        """Return whether a light is so oblique that the cornea folds it into caustics; true where
+        JAX traces the lights.
         """
         if not is_known(self.lights, self.environment):
             return True
         return bool((np.asarray(self.all_lights().polar()) > UNIQUE_POLAR).any())
 
     def all_lights(self, largest_polar: float | None = LARGEST_POLAR) -> Lights:
-        """Lamps, and those that stand for the environment up to a polar angle (radians); `None`
-        for all directions.
+        """Return the lamps, and those that approximate the environment up to a polar angle
+        (radians; `None` for all directions).
         """
         if self.environment is None:
             assert self.lights is not None
             return self.lights
-        how = {"largest_polar": largest_polar, "illuminant": self.illuminant}
-        around = self.environment.to_lights(self.environment_lights, **how)
+        settings = {"largest_polar": largest_polar, "illuminant": self.illuminant}
+        around = self.environment.to_lights(self.environment_lights, **settings)
         return around if self.lights is None else self.lights + around

@@ -22,7 +22,7 @@ from irisjax.render.illumination import Illumination, near_lamp_entry
 from irisjax.render.lids import lid_visibility
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
-from irisjax.render.surfaces import IrisSurface, Place
+from irisjax.render.surfaces import IrisSurface, TextureCoordinates
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 
@@ -203,9 +203,9 @@ def sample_textures(pixels: IrisPixels, eye: Eye, textures: Any) -> Any:
     return jax.tree.map(lambda texture: polar_bilinear(texture, *place), textures)
 
 
-def _map_place(pixels: IrisPixels, eye: Eye) -> Place:
+def _map_place(pixels: IrisPixels, eye: Eye) -> TextureCoordinates:
     """Return the angle (radians) and relative radius in the maps at which pixels see them."""
-    angle, radius = IrisSurface(eye).place(from_parts(pixels.point))
+    angle, radius = IrisSurface(eye).texture_coordinates(from_parts(pixels.point))
     angle = angle if pixels.turn is None else angle + pixels.turn
     # Computed once: XLA would otherwise work both out again for each texture.
     return materialise((angle, radius))

@@ -1,5 +1,4 @@
-"""Surfaces of the eye: where a ray meets them, their normal there, and the place in their maps
-where they have any.
+"""Surfaces of the eye: their intersections with rays, their normals and their texture coordinates.
 
 How a surface sends light back is a property of its material (`outside`, `integrator`).
 """
@@ -15,8 +14,10 @@ from irisjax.anatomy.sclera import meet_sclera, sphere, vein_place
 from irisjax.numerics.angle import arctan2
 from irisjax.optics.conicoid import Vector, advance, dot, from_axis
 
-Place = tuple[Float[Array, "*s"], Float[Array, "*s"]]
-"""Angle (radians) of points of a surface and their way from its inner edge (0) to its outer (1)."""
+TextureCoordinates = tuple[Float[Array, "*s"], Float[Array, "*s"]]
+"""Angle (radians) of points of a surface, and their relative distance from its inner edge (0) to
+its outer edge (1).
+"""
 
 
 class AbstractSurface(eqx.Module):
@@ -25,52 +26,52 @@ class AbstractSurface(eqx.Module):
     eye: eqx.AbstractVar[Eye]
 
     @abc.abstractmethod
-    def meet(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
-        """Where rays meet the surface, and whether they do, from outside."""
+    def intersect(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
+        """Return the points where rays meet the surface, and whether they do, from outside."""
 
     @abc.abstractmethod
     def normal(self, point: Vector) -> Vector:
-        """Unit normal at points, out of the eye."""
+        """Return unit normals at points, out of the eye."""
 
 
 class IrisSurface(AbstractSurface):
-    """The plane or cone of the iris, from the pupil's edge to the root. What it holds of pigment
-    shows in `IrisMaps`.
+    """The plane or cone of the iris, from the pupil's edge to the root; its textures are
+    `IrisMaps`.
     """
 
     eye: Eye
 
-    def meet(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
-        """The pupil is met too. In the chamber, or without a cornea."""
+    def intersect(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
+        """Intersect rays in the chamber, or without a cornea; the pupil counts as iris."""
         t = self.eye.meet_iris(origin, direction)
         point = advance(origin, t, direction)
         cosine = -dot(direction, self.normal(point))
         return point, (t > 0) & (from_axis(point) < self.eye.iris_radius) & (cosine > 0)
 
     def normal(self, point: Vector) -> Vector:
-        """Towards the cornea."""
+        """Return unit normals towards the cornea."""
         return self.eye.iris_normal(point)
 
-    def place(self, point: Vector) -> Place:
-        """Angle and relative radius in `IrisMaps`."""
+    def texture_coordinates(self, point: Vector) -> TextureCoordinates:
+        """Return angle and relative radius in `IrisMaps`."""
         radius, x, y = self.eye.ring_of(point[..., 0], point[..., 1])
         return arctan2(y, x), radius
 
 
 class CorneaSurface(AbstractSurface):
-    """The front of the cornea, up to the limbus: the tear film over it."""
+    """The front of the cornea with its tear film, up to the limbus."""
 
     eye: Eye
 
-    def meet(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
-        point, _, met = self.split(origin, direction)
+    def intersect(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
+        point, _, met = self.intersect_conicoid(origin, direction)
         return point, met
 
-    def split(
+    def intersect_conicoid(
         self, origin: Vector, direction: Vector
     ) -> tuple[Vector, Bool[Array, "*s"], Bool[Array, "*s"]]:
-        """Where rays meet the whole conicoid, whether they do, and whether within the limbus:
-        through the blend there the iris shows on.
+        """Return where rays meet the whole conicoid, whether they do, and whether within the
+        limbus. The iris is visible through the blend beyond it.
         """
         front = self._front
         t, met = front.intersect(origin, direction)
@@ -90,23 +91,23 @@ class CorneaSurface(AbstractSurface):
 
 
 class GlobeSurface(AbstractSurface):
-    """The white, from the limbus on. Its vessels show in a `VeinMap`."""
+    """The sclera, from the limbus on; its textures are a `VeinMap`."""
 
     eye: Eye
 
-    def meet(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
-        """Also where the cornea hides it."""
+    def intersect(self, origin: Vector, direction: Vector) -> tuple[Vector, Bool[Array, "*s"]]:
+        """Intersect rays, also where the cornea hides the globe."""
         distance, met = meet_sclera(self.eye, origin, direction)
         return advance(origin, distance, direction), met
 
     def normal(self, point: Vector) -> Vector:
         return sphere(self.eye).normal(point)
 
-    def place(self, point: Vector) -> Place:
-        """Azimuth, and the way from the limbus to the equator."""
+    def texture_coordinates(self, point: Vector) -> TextureCoordinates:
+        """Return azimuth and relative distance from the limbus to the equator."""
         return vein_place(self.eye, point)
 
     def behind(self, point: Vector) -> Bool[Array, "*s"]:
-        """Whether points lie behind the equator."""
+        """Return whether points lie behind the equator."""
         globe = sphere(self.eye)
         return point[..., 2] > globe.apex + jnp.asarray(globe.radius)

@@ -22,7 +22,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractResponse
 from irisjax.render.lights import Lights
 from irisjax.render.picture import LitView, Texels, illuminate, respond, shade, texture
-from irisjax.render.project import View, look, project
+from irisjax.render.project import View, project, project_visible
 from irisjax.render.scene import Scene
 
 GIVEN = "as given"
@@ -169,10 +169,10 @@ class Session(abc.ABC, Generic[S]):
 
     def _drawn(self, kept: KeptPicture, s: S, draft: bool) -> tuple[np.ndarray, float | None]:
         scene = self._set(s, self._size(draft))
-        # The view depends neither on the pupil nor on light. A draft projects all pixels: `look`
-        # selects those of each part, and a new number of them compiles a new program, which would
-        # interrupt the dragging of the camera.
-        see = _projected if draft else look
+        # The view depends neither on the pupil nor on light. A draft projects all pixels:
+        # `project_visible` selects those of each part, and a new number of them compiles a new
+        # program, which would interrupt the dragging of the camera.
+        see = _projected if draft else project_visible
         view = kept.view.of(values_of(s, CAMERA), lambda: see(scene.eye, scene.camera))
         surfaces = values_of(s, (*CAMERA, "environment", "strength", *self._SURFACES))
         texels = kept.texels.of(surfaces, lambda: texture(view, scene))

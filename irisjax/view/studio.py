@@ -17,7 +17,7 @@ from irisjax.numerics.checks import Range, check_known, check_range
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractIntegrator
 from irisjax.render.integrators import INTEGRATORS, integrator_name
-from irisjax.render.picture import prepared_scene
+from irisjax.render.picture import prepare_scene
 from irisjax.render.scene import Scene
 from irisjax.tissue.iris import BLOOD, Iris
 from irisjax.tissue.maps import IrisMaps
@@ -195,7 +195,7 @@ class Studio(Session[Settings]):
             **self._parts(s, size),
         )
         # Maps are relative to the iris: pigments and thickness change the response alone.
-        ready = self._ready.of(values_of(s, _GROWN), lambda: prepared_scene(scene))
+        ready = self._ready.of(values_of(s, _GROWN), lambda: prepare_scene(scene))
         return scene.replace(integrator=ready.integrator)
 
 

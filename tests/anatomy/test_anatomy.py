@@ -8,7 +8,7 @@ import pytest
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.optics.conicoid import Conicoid
 from irisjax.render.camera import Camera
-from irisjax.render.project import look
+from irisjax.render.project import project_visible
 from irisjax.render.refraction import cornea_point, refract_to_iris
 
 CORNEAS = {
@@ -64,7 +64,7 @@ def test_an_eye_just_allowed_is_seen():
         eye, entry, jnp.broadcast_to(jnp.asarray([0.0, 0.0, 1.0]), entry.shape)
     )
     assert (landing.point[:, 2] > entry[:, 2]).all() and np.isfinite(landing.share).all()
-    view = look(eye, Camera(width=12.0, size=(24, 18)))
+    view = project_visible(eye, Camera(width=12.0, size=(24, 18)))
     assert view.iris is not None and view.iris.index.size > 100
 
 

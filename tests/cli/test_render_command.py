@@ -13,7 +13,7 @@ from irisjax.io.scenes import parse_scene, read_scene
 from irisjax.measure.colour import srgb_encode
 from irisjax.render.camera import Camera
 from irisjax.render.picture import draw
-from irisjax.render.project import look
+from irisjax.render.project import project_visible
 from scene_files import BARE
 
 render = importlib.import_module("irisjax.cli.render")  # the package holds the command by this name
@@ -355,11 +355,11 @@ def test_a_camera_swings_from_the_right_to_the_left(irisjax, monkeypatch):
     """The frames are still pictures from where the cosine of the round puts it."""
     places = []
 
-    def looked(eye, camera):
-        places.append(camera.place(eye))
-        return look(eye, camera)
+    def project_and_note(eye, camera):
+        places.append(camera.position(eye))
+        return project_visible(eye, camera)
 
-    monkeypatch.setattr("irisjax.cli.render.look", looked)
+    monkeypatch.setattr("irisjax.cli.render.project_visible", project_and_note)
     given, frames = ("--exposure", 8, "-o"), ("--animate", "camera", "--frames", 4)
     assert irisjax("render", "scene.toml", *frames, *given, "f_%d.png")[:2] == (0, "")
     aside = 250 * np.sin(np.radians([50, 0, -50, 0]))

@@ -14,7 +14,7 @@ from irisjax.export.mesh import eye_meshes, mesh_files, right_handed
 from irisjax.numerics.interpolation import polar_bilinear
 from irisjax.render.environment import Environment
 from irisjax.render.picture import draw
-from irisjax.render.project import look
+from irisjax.render.project import project_visible
 from irisjax.render.shading import relief_slopes
 from irisjax.tissue.maps import IrisMaps, cell_centres
 
@@ -36,7 +36,7 @@ def mi():
 
 def on_the_iris(scene, margin=0.25):
     """Flat indices of pixels that see the iris, clear of its edges, and their points (mm)."""
-    view = look(scene.eye, scene.camera).iris
+    view = project_visible(scene.eye, scene.camera).iris
     assert view is not None
     index, point = np.asarray(view.index), np.stack(view.point, -1)
     r = np.hypot(point[:, 0], point[:, 1])

@@ -10,7 +10,7 @@ from irisjax.export.mesh import eye_meshes
 from irisjax.grow.pupil import irregular_pupil
 from irisjax.io.scenes import parse_scene, scene_text
 from irisjax.render.camera import Camera
-from irisjax.render.project import look
+from irisjax.render.project import project_visible
 from irisjax.render.shading import camera_share
 
 CENTRE = np.array([-0.3, 0.1])
@@ -47,7 +47,7 @@ def test_grown_edges_deviate_by_what_is_asked_for():
 
 
 def test_tissue_ends_at_the_edge():
-    view = look(EYE, Camera(width=12.0, size=(96, 96)))
+    view = project_visible(EYE, Camera(width=12.0, size=(96, 96)))
     x, y = (np.asarray(v) for v in view.iris.point[:2])
     share = np.asarray(camera_share(view.iris, EYE)) / np.asarray(view.iris.share)
     away = np.hypot(x - CENTRE[0], y - CENTRE[1])

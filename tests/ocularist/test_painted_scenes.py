@@ -20,7 +20,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.picture import draw
 from irisjax.render.points import project_points
-from irisjax.render.project import look
+from irisjax.render.project import project_visible
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.render.shading import IrisModel
@@ -50,7 +50,7 @@ def tables():
 @functools.cache
 def few():
     """Pixels of a small picture that see the iris."""
-    return look(EYE, dataclasses.replace(CAMERA, size=(40, 30))).iris
+    return project_visible(EYE, dataclasses.replace(CAMERA, size=(40, 30))).iris
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -10,7 +10,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.photo.photograph import Ellipse, ellipse_through
 from irisjax.render.camera import Camera
 from irisjax.render.points import project_points
-from irisjax.render.project import look
+from irisjax.render.project import project_visible
 from irisjax.render.surfaces import IrisSurface
 
 _AROUND = np.linspace(0, 2 * np.pi, 64, endpoint=False)
@@ -50,7 +50,7 @@ def painted(eye: Eye, camera: Camera, paint: Callable) -> np.ndarray:
     """What a camera sees of an iris that has the values `paint(x, y)` (pixels,) at x, y (mm): each
     pixel those of its middle, (rows, columns, 3); 0 beside the iris.
     """
-    pixels = look(eye, camera).iris
+    pixels = project_visible(eye, camera).iris
     assert pixels is not None
     count = camera.shape[0] * camera.shape[1]
     number = np.arange(count) if pixels.index is None else np.asarray(pixels.index)

@@ -11,7 +11,7 @@ from irisjax.photo.texture import Unrefracted, texels_of
 from irisjax.render.camera import Camera
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.project import look
+from irisjax.render.project import project_visible
 
 LIMBUS = Ellipse((100.0, 100.0), (87.0, 85.0), 0.35 + np.pi / 2)
 
@@ -24,7 +24,7 @@ def pose():
 
 def _mirrored(pose, towards, radius):
     """A picture of a lamp of some angular radius on the cornea, over a dim iris."""
-    seen = look(pose.eye, pose.camera).mirror
+    seen = project_visible(pose.eye, pose.camera).mirror
     assert seen is not None
     count = pose.camera.shape[0] * pose.camera.shape[1]
     number = np.arange(count) if seen.index is None else np.asarray(seen.index)
@@ -39,7 +39,7 @@ def _mirrored(pose, towards, radius):
 
 
 def _told(picture, pose):
-    return find_lighting(picture, LIMBUS, pose, look(pose.eye, pose.camera))
+    return find_lighting(picture, LIMBUS, pose, project_visible(pose.eye, pose.camera))
 
 
 def _direction(polar, azimuth):

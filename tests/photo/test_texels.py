@@ -17,7 +17,7 @@ from irisjax.photo.texture import Refraction
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.picture import draw, surroundings, texture, within_gamut
-from irisjax.render.project import look, onto_picture
+from irisjax.render.project import project_visible, scatter_to_picture
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.tissue.maps import IrisMaps, Scales, texel_layers
@@ -61,14 +61,14 @@ def cells_of(shape) -> Refraction:
 
 @pytest.fixture(scope="module")
 def view():
-    return look(BARE, CAMERA)
+    return project_visible(BARE, CAMERA)
 
 
 def solved(view, reflection: bool, wrong: float = 0.0):
     """A drawn iris of two colours, its visible pixels, those of a reflection on it, and what is
     found.
     """
-    radius = onto_picture(view.iris, np.hypot(*map(np.asarray, view.iris.point[:2])), SHAPE)
+    radius = scatter_to_picture(view.iris, np.hypot(*map(np.asarray, view.iris.point[:2])), SHAPE)
     inner, outer = float(BARE.pupil_radius) + 0.2, min(float(BARE.iris_radius), 5.5) - 0.3
     known = (radius > inner) & (radius < outer)
     target = np.array(draw(scene_with(two_colours())))
@@ -91,7 +91,7 @@ def test_the_picture_of_the_texels_is_the_photograph(view):
     edge of what is visible and on the rim beside the pupil as well.
     """
     target, known, window, found = solved(view, reflection=True)
-    radius = onto_picture(view.iris, np.hypot(*map(np.asarray, view.iris.point[:2])), SHAPE)
+    radius = scatter_to_picture(view.iris, np.hypot(*map(np.asarray, view.iris.point[:2])), SHAPE)
     rim = (radius > float(BARE.pupil_radius) + 0.05) & (radius < float(BARE.pupil_radius) + 0.2)
     assert not known[rim].any() and rim.any()
     pigments = _encoded(
@@ -165,9 +165,9 @@ def test_a_residual_multiplies_the_iris_alone():
 def test_the_camera_sees_a_share_of_the_images():
     room, known = Environment.uniform(0.5), {"camera": CAMERA, "integrator": INTEGRATOR}
     scene = Scene(BASE, None, EYE, None, room, **known)
-    view = look(EYE, CAMERA)
+    view = project_visible(EYE, CAMERA)
     assert view.mirror is not None
-    film = onto_picture(view.mirror, np.asarray(view.mirror.reflectance), SHAPE)
+    film = scatter_to_picture(view.mirror, np.asarray(view.mirror.reflectance), SHAPE)
     shown = []
     for share in (1.0, 0.25, 0.0):
         scene = scene.replace(camera=dataclasses.replace(CAMERA, images=share))

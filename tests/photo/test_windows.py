@@ -34,7 +34,7 @@ from irisjax.render.bands import colour_bands
 from irisjax.render.environment import Environment
 from irisjax.render.integrator import solve_response
 from irisjax.render.picture import draw
-from irisjax.render.project import look
+from irisjax.render.project import project_visible
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
 from irisjax.render.shading import scale_ranges
@@ -65,7 +65,7 @@ def _means_are_the_renderers(found, rtol):
 def bare():
     """An eye without a cornea, whose tables take seconds; what the camera sees of it."""
     eye = EYE.replace(cornea=None)
-    return eye, look(eye, CAMERA), iris_alone(POSE._replace(eye=eye))
+    return eye, project_visible(eye, CAMERA), iris_alone(POSE._replace(eye=eye))
 
 
 def test_the_iris_alone_is_a_disc_within_the_limbus(bare):
@@ -162,7 +162,7 @@ def test_features_of_an_average_iris_have_no_place():
     """
     # Windows hold as many pixels here as those that are taken of a photograph.
     camera = dataclasses.replace(CAMERA, size=(150, 150))
-    clear, view = iris_alone(POSE._replace(camera=camera)), look(EYE, camera)
+    clear, view = iris_alone(POSE._replace(camera=camera)), project_visible(EYE, camera)
     pixels = choose_pixels(np.ones((150, 150, 3)), clear, view, EYE)
     seen = jax.tree.map(lambda x: jnp.repeat(x, TURNS, -1), pixels.seen)
     every = pixels._replace(seen=seen, window=np.repeat(pixels.window, TURNS))

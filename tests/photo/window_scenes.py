@@ -10,7 +10,7 @@ from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.pose import Pose
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
-from irisjax.render.project import look
+from irisjax.render.project import project_visible
 from irisjax.render.separable import Separable
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
@@ -28,7 +28,7 @@ SHAPE = CAMERA.shape
 @functools.cache
 def view():
     """Picture that the camera sees."""
-    return look(EYE, CAMERA)
+    return project_visible(EYE, CAMERA)
 
 
 def maps() -> IrisMaps:

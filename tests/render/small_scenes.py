@@ -37,8 +37,8 @@ def scene(eye=BARE, polar=0.0, azimuth=0.0, irradiance=np.pi, **parts):
 def rays_of(camera, eye):
     """A camera's place and unit directions of its lines of sight, (height, width, 3)."""
     rows, columns = camera.shape
-    _, direction = camera.towards(jnp.arange(rows * columns), eye)
-    return camera.place(eye), direction.reshape(rows, columns, 3)
+    _, direction = camera.rays(jnp.arange(rows * columns), eye)
+    return camera.position(eye), direction.reshape(rows, columns, 3)
 
 
 def ring(height, radii=24, angles=48):

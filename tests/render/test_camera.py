@@ -11,11 +11,11 @@ from irisjax.anatomy.eye import Eye, LimbalRing
 from irisjax.optics.conicoid import Conicoid
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
-from irisjax.render.project import iris_pixels, mirror_pixels, sclera_pixels, seen_parts
+from irisjax.render.project import trace_iris, trace_sclera, trace_tear_film, visible_parts
 
 SIZE = (16, 12)
 DISTANCES, POLARS = (30.0, 250.0, 1e3, 1e4, 3e4, 1e5), (0.0, 0.5, 1.05, 1.5)
-SEEN = (seen_parts, iris_pixels, sclera_pixels, mirror_pixels)
+SEEN = (visible_parts, trace_iris, trace_sclera, trace_tear_film)
 INDEX = np.arange(SIZE[0] * SIZE[1], dtype=np.int32)
 
 
@@ -107,7 +107,7 @@ def test_limbal_ring_darkens_the_iris_inside_its_blend_with_the_white():
     pixels = 600 + np.array([350, 425, 450, 475, 510], np.int32)
 
     def share(ring):
-        return iris_pixels(pixels, Eye(limbus_width=0.5, limbal_ring=ring), camera).share
+        return trace_iris(pixels, Eye(limbus_width=0.5, limbal_ring=ring), camera).share
 
     def of(darkening):
         return share(LimbalRing(darkening=darkening, width=0.5, fade=0.5))

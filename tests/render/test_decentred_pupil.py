@@ -8,7 +8,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.export.mesh import eye_meshes
 from irisjax.io.scenes import parse_scene
 from irisjax.render.camera import Camera
-from irisjax.render.project import IrisPixels, look
+from irisjax.render.project import IrisPixels, project_visible
 from irisjax.render.shading import camera_share, facing_at, relief_field
 
 CENTRE = np.array([-0.35, 0.2])
@@ -35,7 +35,7 @@ def test_rings_lie_between_pupil_and_root():
 
 
 def test_pupil_is_seen_where_it_is():
-    view = look(EYE, Camera(width=12.0, size=(96, 96)))
+    view = project_visible(EYE, Camera(width=12.0, size=(96, 96)))
     x, y = (np.asarray(v) for v in view.iris.point[:2])
     share = np.asarray(camera_share(view.iris, EYE)) / np.asarray(view.iris.share)
     away = np.hypot(x - CENTRE[0], y - CENTRE[1])

@@ -20,7 +20,7 @@ from irisjax.render.environment import Environment
 from irisjax.render.illumination import trace_flux
 from irisjax.render.lights import Lights
 from irisjax.render.outside import bulk_reflectance
-from irisjax.render.project import ScleraPixels, look, sclera_pixels
+from irisjax.render.project import ScleraPixels, project_visible, trace_sclera
 from irisjax.render.refraction import UNIQUE_POLAR, RefractionFunction, limbus_window
 from irisjax.render.scene import Scene
 from irisjax.tissue.maps import IrisMaps
@@ -99,7 +99,7 @@ def test_white_has_no_edge_where_the_cornea_begins():
     """
     camera = Camera(distance=1e5, width=14.0, size=(1400, 1))
     row = np.arange(1200, 1300, dtype=np.int32)  # 5 to 6 mm from the axis, 0.01 mm each
-    white = sclera_pixels(row, WHITE, camera)
+    white = trace_sclera(row, WHITE, camera)
     assert 0 < float(white.share[60]) < 1  # it has begun to blend
     for polar in (0.0, 0.6, 1.2):
         lamp = Lights.distant(polar, np.pi, 1.0)
@@ -162,7 +162,7 @@ def test_white_in_an_even_room(tables):
     room = Environment(jnp.ones((32, 64, 3)))
     made = Scene(IRIS, eye=WHITE, lights=None, environment=room, environment_lights=200)
     made = made.replace(camera=Camera(polar=1.4, size=(24, 18), width=20.0))
-    view = look(made.eye, made.camera)
+    view = project_visible(made.eye, made.camera)
     picture = around(made, view)
     index = np.asarray(view.sclera.index)
     share, reflectance = (
@@ -191,7 +191,7 @@ def test_vessels_have_their_colours_of_81_wavelengths():
     drawn = VeinMap(*(jnp.full((4, 4), v) for v in (0.035, 0.9, 0.3)))
     made = Scene(IRIS, eye=WHITE, veins=drawn, camera=Camera(polar=1.4, azimuth=0.3, size=(16, 12)))
     made = made.replace(integrator=ij.Separable(solver=ij.IlitExact(4), degrees=(2, 2, 2, 2, 2)))
-    index = np.asarray(look(made.eye, made.camera).sclera.index)
+    index = np.asarray(project_visible(made.eye, made.camera).sclera.index)
     index = index[index >= 0]
     spectral = around(made.replace(wavelengths=tuple(map(float, BAND_GRID))))[:, index]
     power = np.asarray(ij.measure.illuminant_power("D65", BAND_GRID))

@@ -15,7 +15,7 @@ from irisjax.numerics.strokes import stamp_strokes, stroke_sections
 from irisjax.render.lids import lid_visibility, meet_lids, skin_reflectance
 from irisjax.render.lights import Lights
 from irisjax.render.picture import surroundings, texture
-from irisjax.render.project import look, onto_picture, project
+from irisjax.render.project import project, project_visible, scatter_to_picture
 from irisjax.render.scene import Scene
 from irisjax.render.shading import incident_flux
 from irisjax.tissue.diffusion import diffuse_reflectance
@@ -27,7 +27,7 @@ CAMERA = ij.Camera(size=(32, 24), width=30.0)
 
 
 def test_lines_of_sight_end_on_the_surface():
-    origin, direction = CAMERA.towards(jnp.arange(32 * 24), EYE)
+    origin, direction = CAMERA.rays(jnp.arange(32 * 24), EYE)
     centre = sclera_centre(EYE)
 
     @quick_jit
@@ -89,7 +89,7 @@ def _of(lamps):
 
 @pytest.fixture(scope="module")
 def seen():
-    return look(EYE, CAMERA)
+    return project_visible(EYE, CAMERA)
 
 
 def test_lids_hide_what_lies_behind_them(seen):
@@ -97,7 +97,7 @@ def test_lids_hide_what_lies_behind_them(seen):
     every, whole = project(EYE, CAMERA), project(BARE, CAMERA)
     for name in ("iris", "sclera", "lids"):
         few, all_of = (
-            onto_picture(part, np.asarray(part.share), (24, 32))
+            scatter_to_picture(part, np.asarray(part.share), (24, 32))
             for part in (getattr(view, name) for view in (seen, every))
         )
         np.testing.assert_allclose(few, all_of, atol=1e-12)

@@ -46,7 +46,7 @@ def test_pixels_return(polar, distance):
 def test_without_a_cornea_and_in_a_part_of_the_picture():
     """Straight lines; rows are counted from the part's first."""
     eye = Eye(cornea=None, iris_slope=0.2)
-    camera = Camera(0.5, 2.0, 90.0, 16.0, SIZE).taking(3, 6)
+    camera = Camera(0.5, 2.0, 90.0, 16.0, SIZE).crop_rows(3, 6)
     view = there(eye, camera)
     seen = np.asarray(view.iris.share) > 0
     found = back(eye, camera, from_parts(view.iris.point))

@@ -19,7 +19,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.outside import colour_table
 from irisjax.render.picture import draw, illuminate, respond, shade, texture
-from irisjax.render.project import iris_pixels, look, project
+from irisjax.render.project import project, project_visible, trace_iris
 from irisjax.render.refraction import UNIQUE_POLAR
 from irisjax.tissue.maps import IrisMaps, Scales
 from render.small_scenes import BARE, CLEAR, CLOSE, LIGHT, QUICK, SMALL, ring, scene
@@ -37,7 +37,7 @@ def test_tables_are_made_for_what_is_asked(monkeypatch):
 @pytest.mark.peer
 def test_absent_parts_cost_nothing(tables):
     eye, iris = CLOSE, LIGHT
-    pixels = look(eye, SMALL).iris
+    pixels = project_visible(eye, SMALL).iris
     one = np.ones((8, 6))
     maps = {
         "none": None,
@@ -83,11 +83,11 @@ def test_absent_parts_cost_nothing(tables):
     assert shading.entering_flux(lamp, eye, iris, tables).shape[0] == 1
     assert shading.entering_flux(tinted, eye, iris, tables).shape[0] == 3
     sight = [
-        operations(lambda e=e: iris_pixels(jnp.arange(9), e, SMALL))
+        operations(lambda e=e: trace_iris(jnp.arange(9), e, SMALL))
         for e in (BARE, CLOSE, Eye(cornea=CLEAR))
     ]
     assert sight == sorted(set(sight))
-    view = look(Eye(), SMALL)
+    view = project_visible(Eye(), SMALL)
     room = outside.mirrored_environment(view.mirror, Environment(jnp.ones((4, 8, 3))))
     mirrors = [
         operations(lambda r=r: outside.tear_film_radiance((view.mirror, r), lamp, jnp.ones(3)))
@@ -100,7 +100,9 @@ def test_absent_parts_cost_nothing(tables):
         for v in (None, drawn)
     ]
     assert mirrors[0] < mirrors[1] and whites[0] < whites[1]
-    assert look(BARE, SMALL).mirror is None and look(CLOSE, SMALL).sclera is None
+    assert (
+        project_visible(BARE, SMALL).mirror is None and project_visible(CLOSE, SMALL).sclera is None
+    )
 
 
 @pytest.mark.parametrize(

@@ -93,8 +93,8 @@ def test_spectral_and_single_scattering():
 
 
 def test_one_program_for_all_draw_bands(monkeypatch):
-    traced, towards = [], Camera.towards
-    monkeypatch.setattr(Camera, "towards", lambda *args: traced.append(1) or towards(*args))
+    traced, rays = [], Camera.rays
+    monkeypatch.setattr(Camera, "rays", lambda *args: traced.append(1) or rays(*args))
     made = scene(camera=Camera(size=(20, 64)))
     iterator = draw_bands(made, memory=memory(4, 20))
     for _ in range(8):  # the first see no iris
@@ -114,13 +114,13 @@ def test_a_band_is_drawn_only_when_asked_for(monkeypatch):
 @pytest.mark.parametrize(("first", "rows"), [(-1, 3), (14, 3), (0, 0), (0, 17)])
 def test_rows_outside_the_picture_are_refused(first, rows):
     with pytest.raises(ValueError, match="are not in a picture of 16"):
-        Camera(size=(21, 16)).taking(first, rows)
+        Camera(size=(21, 16)).crop_rows(first, rows)
 
 
 def test_a_part_has_the_rays_of_the_whole():
-    part = Camera(0.3, 0.7, width=3.0, size=(1, 32)).taking(30, 2, samples=8)
+    part = Camera(0.3, 0.7, width=3.0, size=(1, 32)).crop_rows(30, 2, samples=8)
     assert part.shape == (16, 8)
     rays = jax.jit(lambda camera: rays_of(camera, bare())[1])
     whole = rays(Camera(0.3, 0.7, width=3.0, size=(8, 256)))
     np.testing.assert_allclose(rays(part), whole[-16:], atol=1e-15, rtol=0)
-    assert Camera(size=(16384, 16384)).taking(5, 1, 8).shape == (8, 131072)
+    assert Camera(size=(16384, 16384)).crop_rows(5, 1, 8).shape == (8, 131072)
