@@ -21,38 +21,38 @@ def lids(eye: Eye, *, texels: int = 1024, key: PRNGKey, **fields: Any) -> Lids:
 
     Args:
         eye: The eye, not traced.
-        texels: Along each side of the maps.
+        texels: Number of texels along each side of the maps.
         key: Random key.
         **fields: Fields of `Lids`.
 
     Raises:
         ValueError: The eye has no cornea or no sclera, or a field is out of range.
     """
-    made = Lids(**fields)
-    eye.replace(lids=made)  # refuses an eye that cannot have them
+    plain = Lids(**fields)
+    eye.replace(lids=plain)  # raises if the eye cannot have lids
     rng = np.random.default_rng(words_of(key))
     centre = sclera_centre(eye)
-    lashes = _lashes(rng, made, centre)
+    lashes = _lashes(rng, plain, centre)
     maps = {"lashes": lashes, "skin": _skin(rng, texels), "fence": _fence(lashes, float(centre))}
     grown: dict[str, Any] = {k: jnp.asarray(v, jnp.result_type(float)) for k, v in maps.items()}
     return Lids(**fields, **grown)
 
 
 def _lashes(rng, lids: Lids, centre) -> np.ndarray:
-    """Two rows of lashes of the upper lid and one of the lower: points and radii along each."""
+    """Grow two rows of lashes on the upper lid and one on the lower: points and radii of each."""
     rows = [(True, 95), (True, 95), (False, 66)]
     count = sum(n for _, n in rows)
     upper = np.concatenate([np.full(n, of_upper) for of_upper, n in rows])
     s = np.concatenate([np.linspace(-0.97, 0.8 if up else 0.72, n) for up, n in rows])
     s = s + rng.normal(0, 0.008, count)
     t = np.linspace(0, 1, _POINTS)
-    # Neighbours lean together in tufts.
+    # Neighbouring lashes lean together in tufts.
     lean = np.repeat(rng.normal(0, 0.11, count), rng.integers(1, 4, count))[:count]
     outward = s * lids.nose * np.where(s < 0, 1.3, 0.7) * np.where(upper, 0.55, 0.4)
     fan = outward + lean + rng.normal(0, 0.07, count)
     side = np.outer(fan, 0.5 * t * (1 + t)) + np.outer(rng.normal(0, 0.06, count), t**2)
     lift = rng.normal(1, 0.12, count)
-    # Upper ones reach forwards before they curl up, where the tear film mirrors their tips.
+    # Upper lashes reach forwards before they curl up, so that the tear film mirrors their tips.
     rising, falling = np.outer(lift, 0.8 * t**2.2) - 0.06 * t, 0.3 * t**2 - np.outer(lift, 0.85 * t)
     up = np.where(upper[:, None], rising, falling)
     out = np.where(upper[:, None], 0.95 * t - 0.15 * t**2, 0.5 * t + 0.1 * t**2)
@@ -68,8 +68,8 @@ def _lashes(rng, lids: Lids, centre) -> np.ndarray:
 
 @eqx.filter_jit
 def _roots(lids: Lids, upper, place, centre):
-    """Return x, y and z of the roots of lashes, from places between the corners and beyond the
-    margin.
+    """Return x, y and z of the roots of lashes, from their positions between the corners and beyond
+    the margin.
     """
     along, beyond = place
     start, end = lids.along(jnp.zeros(())), lids.along(jnp.ones(()))
@@ -82,22 +82,26 @@ def _roots(lids: Lids, upper, place, centre):
 def _fence(lashes: np.ndarray, centre: float) -> np.ndarray:
     """Draw the lashes on the sphere of `FENCE` as seen from the middle of the cornea."""
     side, start = 512, np.array([0.0, 0.0, 0.5])
-    way = lashes[..., :3] - start
-    way /= np.linalg.norm(way, axis=-1, keepdims=True)
+    direction = lashes[..., :3] - start
+    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
     offset = start - np.array([0.0, 0.0, centre])
-    along = way @ offset
-    reach = np.sqrt(along**2 - offset @ offset + FENCE**2) - along
-    place = start + reach[..., None] * way
-    wider = reach / np.linalg.norm(lashes[..., :3] - start, axis=-1)
+    along = direction @ offset
+    distance = np.sqrt(along**2 - offset @ offset + FENCE**2) - along
+    projected = start + distance[..., None] * direction
+    magnification = distance / np.linalg.norm(lashes[..., :3] - start, axis=-1)
     cell = 2 * FACE / side
     pixels = np.concatenate(
-        [(place[..., :2] + FACE) / cell - 0.5, (wider * lashes[..., 3] / cell)[..., None]], -1
+        [
+            (projected[..., :2] + FACE) / cell - 0.5,
+            (magnification * lashes[..., 3] / cell)[..., None],
+        ],
+        -1,
     )
     return np.asarray(stamp_strokes(jnp.asarray(pixels), (side, side), *stroke_sections(40, 4)))
 
 
 def _skin(rng, texels: int) -> np.ndarray:
-    """Slopes and redness of skin: pores, fine lines and blotches from filtered noise."""
+    """Draw slopes and redness of skin: pores, fine lines and blotches from filtered noise."""
     frequency = np.fft.fftfreq(texels, 2 * FACE / texels)  # 1/mm
     fx, fy = np.meshgrid(frequency, frequency)
 

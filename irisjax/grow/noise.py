@@ -1,4 +1,4 @@
-"""Noise round a circle: value noise on hashed lattices, one program for all its uses."""
+"""Value noise on hashed lattices round a circle, by one compiled program for all uses."""
 
 from collections.abc import Sequence
 
@@ -11,31 +11,37 @@ from irisjax.numerics.interpolation import smoothstep
 
 NoiseField = Float[Array, "..."]
 Seed = UInt32[Array, ""]
-Whole = int | Int[Array, ""]
+Count = int | Int[Array, ""]
 
 
 def noise(
     seed: Seed,
     turns: NoiseField,
     radius: NoiseField,
-    cells: tuple[Whole, Whole],
-    octaves: Whole = 1,
+    cells: tuple[Count, Count],
+    octaves: Count = 1,
 ) -> NoiseField:
-    """Fractal value noise, −1 to 1, on `cells` over `turns` (of period 1) and `radius`, 0 to 1.
+    """Draw fractal value noise, −1 to 1, on `cells` over `turns` (period 1) and `radius`, 0 to 1.
 
-    Every octave halves cells and height; the noise is the same in both precisions.
+    Every octave halves cells and height. The noise is the same in both precisions.
     """
 
     def layer(octave, total):
         scale = 2 ** jnp.asarray(octave, radius.dtype)
         n, m = cells[0] * scale, cells[1] * scale
-        own = seed + jnp.asarray(octave, jnp.uint32)
+        octave_seed = seed + jnp.asarray(octave, jnp.uint32)
         x, y = turns * n, jnp.clip(radius, 0.0, 1.0) * m
         i, j = jnp.floor(x), jnp.floor(y)
         u, v = smoothstep(x - i), smoothstep(y - j)
         left, right = i % n, (i + 1) % n
-        below = hashed(own, left, j) * (1 - v) + hashed(own, left, j + 1) * v
-        above = hashed(own, right, j) * (1 - v) + hashed(own, right, j + 1) * v
+        below = (
+            hash_uniform(octave_seed, left, j) * (1 - v)
+            + hash_uniform(octave_seed, left, j + 1) * v
+        )
+        above = (
+            hash_uniform(octave_seed, right, j) * (1 - v)
+            + hash_uniform(octave_seed, right, j + 1) * v
+        )
         return total + (below * (1 - u) + above * u) / scale
 
     total = jnp.zeros(jnp.broadcast_shapes(turns.shape, radius.shape), radius.dtype)
@@ -43,32 +49,36 @@ def noise(
     return jax.lax.fori_loop(0, octaves, layer, total) / (2 - jnp.exp2(1.0 - octaves))
 
 
-def noises(
+def noise_fields(
     seed: Seed, turns: NoiseField, radius: NoiseField, kinds: Sequence[tuple[int, int, int]]
 ) -> Float[Array, "kinds ..."]:
-    """One `noise` for each of `kinds`, its two numbers of cells and its octaves, by one program."""
+    """Draw one `noise` for each of `kinds`, its two numbers of cells and its number of octaves."""
     table = jnp.stack(split_seed(seed, len(kinds))), *jnp.asarray(kinds).T
     return jax.lax.map(lambda k: noise(k[0], turns, radius, (k[1], k[2]), k[3]), table)
 
 
-def _mixed(x: UInt32[Array, "..."]) -> UInt32[Array, "..."]:
+def _mix_bits(x: UInt32[Array, "..."]) -> UInt32[Array, "..."]:
+    """Mix the bits of 32-bit integers, so that equal steps give unrelated numbers."""
     for shift, factor in ((16, 0x7FEB352D), (15, 0x846CA68B)):
         x = (x ^ (x >> shift)) * jnp.uint32(factor)
     return x ^ (x >> 16)
 
 
 def split_seed(seed: Seed, n: int) -> list[Seed]:
-    """Seeds of features from the seed of all."""
-    return [_mixed(seed + jnp.uint32(0x632BE5AB * (i + 1) % 2**32)) for i in range(n)]
+    """Derive n seeds from one."""
+    return [_mix_bits(seed + jnp.uint32(0x632BE5AB * (i + 1) % 2**32)) for i in range(n)]
 
 
-def hashed(seed: Seed, i: NoiseField, j: NoiseField) -> NoiseField:
-    """Uniform on −1 to 1 at whole i, j ≥ 0; XLA compiles as many draws of its own for 30 s."""
+def hash_uniform(seed: Seed, i: NoiseField, j: NoiseField) -> NoiseField:
+    """Draw a number, uniform on −1 to 1, for each pair of whole i, j ≥ 0, by hashing.
+
+    XLA takes 30 s to compile as many draws of `jax.random`.
+    """
     x, y = i.astype(jnp.uint32), j.astype(jnp.uint32)
     x = x * jnp.uint32(0x9E3779B1) + y * jnp.uint32(0x85EBCA77)
-    return _mixed(x + seed).astype(i.dtype) * 2.0**-31 - 1
+    return _mix_bits(x + seed).astype(i.dtype) * 2.0**-31 - 1
 
 
-def drawn(seed: Seed, n: int, k: Whole, dtype: DTypeLike) -> NoiseField:
-    """The k-th of n-tuples uniform on 0 to 1, shape (n,)."""
-    return 0.5 + 0.5 * hashed(seed, jnp.arange(n).astype(dtype), jnp.full(n, k, dtype))
+def draw_uniform(seed: Seed, n: int, k: Count, dtype: DTypeLike) -> NoiseField:
+    """Draw the k-th tuple of n numbers uniform on 0 to 1, shape (n,)."""
+    return 0.5 + 0.5 * hash_uniform(seed, jnp.arange(n).astype(dtype), jnp.full(n, k, dtype))

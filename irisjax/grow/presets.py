@@ -23,16 +23,16 @@ PHOTOGRAPHED_COLOURS: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
 }
 """Means and standard deviations of L*, a*, b* (D65, visible iris) that the presets aim at.
 
-Those of blue, green, hazel, amber and brown are of photographed irides (iori, 39 irides,
-uncalibrated cameras). Two are decided: grey is a pale iris of little chroma, as is one in a
-photograph (46, −2, 2 by its white), and dark brown is one standard deviation of brown below
-brown's mean.
+Those of blue, green, hazel, amber and brown are measured from photographs (iori, 39 irides,
+uncalibrated cameras). Two are set by hand: grey is a pale iris of little chroma, as in one
+photograph ((46, −2, 2) relative to the eye's white), and dark brown is one standard deviation of
+brown below brown's mean.
 """
 _FIELDS = "eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "scattering_scale"
 _SATURATION = 0.95
-# Thickness of the stroma, mm, where LB06's is too thin for so bright and red a class.
+# Thickness of the stroma, mm, where LB06's is too thin for so bright and red an iris.
 _THICKNESS = {"hazel": 0.35, "amber": 0.45, "brown": 0.35}
-_IRIDES = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
+_PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
     "blue": ((0.0219, 0.00724, 0.0274, 0.219, 7.45), (0.0224, 0.00399, 0.0519, 0.157, 14.1)),
     "grey": ((0.0749, 0.0322, 0.518, 0.153, 9.97), (0.0321, 0.0455, 0.563, 0.12, 17.7)),
     "green": ((0.00729, 0.492, 0.98, 0.0144, 17.0), (0.026, 0.676, 0.975, 0.0303, 28.9)),
@@ -62,29 +62,30 @@ def preset(
     features: Mapping[str, Any] | None = None,
     key: PRNGKey,
 ) -> tuple[Iris, IrisMaps]:
-    """Grow an invented eye of a colour: `"blue"`, `"grey"`, `"green"`, `"hazel"`, `"amber"`,
+    """Grow an invented iris of a colour: `"blue"`, `"grey"`, `"green"`, `"hazel"`, `"amber"`,
     `"brown"` or `"dark-brown"`.
 
     Pigments and the strength of scattering are not measured: `experiments/eye_colours.py` finds
     them for each process so that a picture in the studio shows the visible iris, through the cornea
     and with the preset's maps, in the colour of photographed irides within one standard deviation
-    (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Among those
-    that do it takes the pigments nearest to usual ones and the weakest scattering: 7 to 40 times
+    (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Of all such
+    values it chooses the pigments nearest to usual ones and the weakest scattering: 7 to 40 times
     LB06's by ILIT and 14 to 37 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
-    other soft tissues have. Hazel, brown and amber take a stroma of 0.35, 0.35 and 0.45 mm beside
-    it. Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
-    Exp. Eye Res. 67, 293]. The redness of photographed irides takes more blood than LB06's 0.084
-    mmol/l, at most 0.374, a sixth of pure blood; its saturation is 0.95, as in the choroid, where
-    0.5 would take twice as much. Fibrils have LB06's radius, whose effect is that of the strength.
-    Hazel and green eyes are browner near the pupil, where their maps add eumelanin.
+    other soft tissues have. Hazel, brown and amber also need a stroma of 0.35, 0.35 and 0.45 mm.
+    Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
+    Exp. Eye Res. 67, 293]. The redness of photographed irides requires more blood than LB06's 0.084
+    mmol/l, at most 0.374, a sixth of pure blood; its saturation is 0.95, as in the choroid, since a
+    saturation of 0.5 would require twice as much blood. Fibrils have LB06's radius, which has the
+    same effect as the strength. Hazel and green eyes are browner near the pupil, where their maps
+    add eumelanin.
 
     Args:
         colour: Name of the colour.
-        eye: Gives the ring from pupil to root (default: `Eye()`).
-        process: Process that the pigments are chosen for.
+        eye: The eye, with the ring from pupil to root (default: `Eye()`).
+        process: Process for which the pigments are chosen.
         shape: Numbers of angles and radii of the maps.
-        pigments: Fields of the iris that differ.
-        features: Arguments of `procedural` that differ.
+        pigments: Fields of the iris that replace the preset's.
+        features: Arguments of `procedural` that replace the preset's.
         key: Random key.
 
     Returns:
@@ -93,17 +94,17 @@ def preset(
     Raises:
         ValueError: The colour is unknown.
     """
-    check_known("eye colour", colour, sorted(_IRIDES))
-    ilit, radiative = _IRIDES[colour]
-    chosen = dict(zip(_FIELDS, ilit if isinstance(process, Ilit) else radiative, strict=True))
+    check_known("eye colour", colour, sorted(_PIGMENTS))
+    ilit, radiative = _PIGMENTS[colour]
+    fields = dict(zip(_FIELDS, ilit if isinstance(process, Ilit) else radiative, strict=True))
     thickness = _THICKNESS.get(colour, 0.2855)
-    chosen |= {"saturation": _SATURATION, "stroma_thickness": thickness}
-    iris = Iris().replace(**chosen).replace(**dict(pigments or {}))
-    # The relief is a share of the thickness: as high as of the others.
-    wanted: dict[str, Any] = {"relief": 0.1 * 0.2855 / thickness, "fibres": 1.5, "clouds": 0.6}
-    wanted |= _FEATURES.get(colour, {}) | dict(features or {})
-    return iris, procedural(iris, eye, shape=shape, **wanted, key=key)
+    fields |= {"saturation": _SATURATION, "stroma_thickness": thickness}
+    iris = Iris().replace(**fields).replace(**dict(pigments or {}))
+    # A share of the thickness, so that the relief is as high in a thicker stroma.
+    arguments: dict[str, Any] = {"relief": 0.1 * 0.2855 / thickness, "fibres": 1.5, "clouds": 0.6}
+    arguments |= _FEATURES.get(colour, {}) | dict(features or {})
+    return iris, procedural(iris, eye, shape=shape, **arguments, key=key)
 
 
-PRESETS = {colour: partial(preset, colour) for colour in _IRIDES}
+PRESETS = {colour: partial(preset, colour) for colour in _PIGMENTS}
 """Eye colours: functions of `process`, `shape` and `key` that make an iris and its maps."""

@@ -19,25 +19,35 @@ from jaxtyping import Array
 
 from irisjax._types import PRNGKey, Scalar
 from irisjax.anatomy.eye import Eye
-from irisjax.grow.noise import NoiseField, Seed, Whole, drawn, hashed, noise, noises, split_seed
+from irisjax.grow.noise import (
+    Count,
+    NoiseField,
+    Seed,
+    draw_uniform,
+    hash_uniform,
+    noise,
+    noise_fields,
+    split_seed,
+)
 from irisjax.numerics.checks import Range, check_range
 from irisjax.numerics.interpolation import smoothstep
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, cell_centres
 
 IPE_THICKNESS = 0.07
-"""Iris pigment epithelium, mm, part of what ultrasound measures  [F09 Section 3]."""
-COLLARETTE = 0.30  # mean place of the collarette between the pupil's edge (0) and the root (1)
+"""Thickness of the iris pigment epithelium, mm, which ultrasound includes  [F09 Section 3]."""
+COLLARETTE = 0.30  # mean radius of the collarette between the pupil's edge (0) and the root (1)
 STROMA, ABL, MELANIN = (0.1, 1.7), (0.5, 1.6), (0.4, 2.5)
-"""Least and most of a map relative to its mean: wider ones cost the renderer's tables accuracy."""
-FOLD = 0.025  # height of a contraction furrow's crest, mm
-REST = 1.9
+"""Ranges of maps relative to their means: wider ones cost the renderer's tables accuracy."""
+FURROW_HEIGHT = 0.025  # height of a contraction furrow's crest, mm
+PUPIL_AT_REST = 1.9
 """Radius of the pupil, mm, at which an iris has its mean thicknesses."""
-CELLS = (67, 5, 1.0), (139, 4, 0.0)
-"""Cells between bundles of fibres, wide ones and slits: how many round the iris and along the
-radius, and whether they are wide."""
-WREATH = 67  # crypts, at which all wide cells near the collarette are open
-FINEST = 0.045  # mm between neighbouring fibres, below which they are not drawn
+BUNDLE_CELLS = (67, 5, 1.0), (139, 4, 0.0)
+"""Cells between bundles of fibres, wide ones and slits: their numbers round the iris and along the
+radius, and whether they are wide.
+"""
+MOST_CRYPTS = 67  # crypts, at which all wide cells near the collarette are open
+FIBRE_SPACING = 0.045  # mm between neighbouring fibres, below which they are not drawn
 _Radius = TypeVar("_Radius", Array, np.ndarray)
 
 
@@ -65,52 +75,51 @@ def procedural(
     """Grow the maps of an invented iris; a map that no feature needs is absent.
 
     Args:
-        iris: Gives mean thicknesses: area means over the ring from pupil to root at a pupil of
-            `REST`.
-        eye: Gives that ring (default: `Eye()`). Equal keys give the same tissue at any pupil: a
-            wider one presses it together along the radius, so that every ring keeps its volume and
-            thickens; furrows deepen, crypts close, cords bend, and the seam at the pupil keeps its
-            width.
+        iris: The iris, whose thicknesses are area means over the ring from pupil to root at a pupil
+            of `PUPIL_AT_REST`.
+        eye: The eye with that ring (default: `Eye()`). Equal keys give the same tissue at any
+            pupil: a wider pupil compresses it along the radius, so that every ring keeps its volume
+            and thickens; furrows deepen, crypts close, cords bend, and the seam at the pupil keeps
+            its width.
         shape: Numbers of angles and radii; fewer than 768 angles coarsen the finest fibres.
         profile: Whether the stroma thins towards the root as in ultrasound.
         fibres: Contrast of the radial fibres, 1 as in a light iris.
-        looseness: How far bundles of fibres part, wave and cross, in patches: 0 straight and dense,
-            1 a net.
-        clouds: Contrast of denser and of clearer parts of the stroma, of several sizes.
+        looseness: Degree to which bundles of fibres part, wave and cross, in patches: 0 is straight
+            and dense, 1 a net.
+        clouds: Contrast of denser and clearer parts of the stroma, of several sizes.
         collarette: Height of the wreath between pupillary and ciliary zone.
-        crypts: Number of openings expected near the collarette, at most `WREATH`: gaps between
-            bundles of fibres. In proportion there are small ones nearer the root.
+        crypts: Expected number of openings near the collarette, at most `MOST_CRYPTS`: gaps between
+            bundles of fibres. Small ones nearer the root are added in proportion.
         furrows: Number of concentric contraction furrows, partial arcs in the ciliary zone.
-        freckles: Number of spots.
-        abl: How far the anterior border layer is thinned over crypts, gathered on the crests of
-            furrows and mottled, 1 as in a brown iris.
-        heterochromia: Eumelanin added round the pupil, in rays, relative to the rest's.
-        amber: Pheomelanin added round the pupil, in a wide and cloudy ring, relative to the rest's.
+        freckles: Number of freckles.
+        abl: Variation of the anterior border layer, which is thinner over crypts, thicker on the
+            crests of furrows, and mottled; 1 as in a brown iris.
+        heterochromia: Eumelanin added round the pupil, in rays, relative to the rest.
+        amber: Pheomelanin added round the pupil, in a wide and cloudy ring, relative to the rest.
         patches: Contrast of patches and sectors of eumelanin, and of its ring at the root.
-        ruff: How far the stroma ends before the pupil's edge, where the scalloped, dark seam of the
-            pigment epithelium shows, 1 as usual.
-        relief: Share of the unevenness that rises towards the cornea; the rest lies within. 0: no
-            relief, nor furrows.
+        ruff: Width of the scalloped, dark seam of pigment epithelium at the pupil's edge, relative
+            to a usual one; the stroma ends before it.
+        relief: Share of the uneven thickness that rises towards the cornea; the rest lies below. 0
+            is no relief and no furrows.
         key: Random key; equal keys give equal maps.
 
     Returns:
-        Maps with `stroma_depth` unless the stroma is uniform, and at need `relief`, `abl_depth`,
-        `freckles`, `eumelanin` and `pheomelanin`, the last two with area means of 1.
+        Maps with `stroma_depth` unless the stroma is uniform, and as features need them `relief`,
+        `abl_depth`, `freckles`, `eumelanin` and `pheomelanin`, the last two with area means of 1.
 
     Raises:
         ValueError: A feature is negative, or the shape is below (16, 8).
     """
-    given, general = locals(), ("iris", "eye", "shape", "profile", "key")
-    wanted = {name: value for name, value in given.items() if name not in general}
-    for name, value in wanted.items():
+    arguments, others = locals(), ("iris", "eye", "shape", "profile", "key")
+    features = {name: value for name, value in arguments.items() if name not in others}
+    for name, value in features.items():
         check_range(name, value, Range(0, math.inf))
     if shape[0] < 16 or shape[1] < 8:
         raise ValueError(f"shape {shape} is below (16, 8)")
     eye = Eye() if eye is None else eye
-    # How much there is of any feature is no new program: an eye of another colour grows by the
-    # program of the first.
+    # Amounts are arrays, so that irides of all colours grow by one compiled program.
     counts = "crypts", "furrows", "freckles"
-    amounts = {k: jnp.asarray(v, None if k in counts else float) for k, v in wanted.items()}
+    amounts = {k: jnp.asarray(v, None if k in counts else float) for k, v in features.items()}
     maps = _grow(iris, eye, shape, profile, amounts, key)
     rough = fibres or collarette or crypts or ruff or clouds
     absent = {
@@ -125,295 +134,308 @@ def procedural(
 
 
 @eqx.filter_jit
-def _grow(iris: Iris, eye: Eye, shape, profile: bool, much, key) -> dict[str, NoiseField]:
-    """All maps, with those of features of which there is nothing."""
+def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str, NoiseField]:
+    """Grow all maps, with those of features whose amount is 0."""
     angles, radii = cell_centres(shape)
     turns, radius = jnp.broadcast_arrays(angles[:, None] / (2 * jnp.pi), radii)
-    place = eye.from_axis(radius)
+    distance = eye.from_axis(radius)
     seeds = jax.vmap(lambda i: bits(fold_in(key, i), dtype=jnp.uint32))(jnp.arange(6))
     fibres, wreath, crypts, furrows, freckles, slow = seeds
     # One program for all slow fields: bends of the cords, and clouds of pigment and of tissue.
-    kinds = [
-        (9, 2, 3),
-        (3, 1, 2),
-        (7, 3, 4),
-        (22, 9, 4),
-        (36, 13, 2),
-        (48, 24, 3),
-        (6, 2, 2),
-        (5, 2, 2),
-    ]
-    bend, wide, cloud, mist, arc, wool, blur, open_ = noises(slow, turns, radius, kinds)
-    slack = (eye.iris_radius - REST) / (eye.iris_radius - eye.pupil_radius)  # of cords and folds
-    # Tissue over the area that is left to it, relative to that at rest; by rings and in the mean.
-    rest = eye.replace(pupil_radius=jnp.asarray(REST, place.dtype))
-    pressed = rest.ring_area(radius) / eye.ring_area(radius)
-    total = (eye.iris_radius**2 - REST**2) / (eye.iris_radius**2 - eye.pupil_radius**2)
-    loose = much["looseness"] * smoothstep(0.5 + 1.6 * open_)
+    kinds = (9, 2, 3), (3, 1, 2), (7, 3, 4), (22, 9, 4), (36, 13, 2), (48, 24, 3), (6, 2, 2)
+    fields = noise_fields(slow, turns, radius, (*kinds, (5, 2, 2)))
+    bend, wide, cloud, mist, arc, wool, blur, openness = fields
+    root_radius = eye.iris_radius
+    # Along the radius, of cords and folds, relative to rest.
+    compression = (root_radius - PUPIL_AT_REST) / (root_radius - eye.pupil_radius)
+    # Rings keep their volume: they thicken as their area shrinks, relative to rest.
+    eye_at_rest = eye.replace(pupil_radius=jnp.asarray(PUPIL_AT_REST, distance.dtype))
+    thickening = eye_at_rest.ring_area(radius) / eye.ring_area(radius)
+    mean_thickening = (root_radius**2 - PUPIL_AT_REST**2) / (root_radius**2 - eye.pupil_radius**2)
+    mean_stroma = mean_thickening * iris.stroma_thickness
+    mean_abl = mean_thickening * iris.abl_thickness
+    looseness = amounts["looseness"] * smoothstep(0.5 + 1.6 * openness)
     focus = 0.6 + 0.4 * smoothstep(0.55 + 1.4 * blur)
-    bent = turns + slack * (0.006 * bend + (0.0015 + 0.003 * loose) * arc)
-    ring = COLLARETTE + _wander(wreath, turns)
-    pitch = 2 * jnp.pi * place / FINEST  # fibres that find room round this ring
-    share = much["crypts"] / WREATH * jnp.exp(2 * open_)
-    cells = crypts, bent, radius, ring, loose, mist, share, pitch, shape[0]
-    bent, hole, seam, rough = _bundles(*cells)
-    crest = _furrows(furrows, turns, radius, much["furrows"])
-    lean = (0.02 + 0.05 * loose) * (radius + 0.1 * arc)
-    cords, mesh, streak, gap = _fibres(fibres, bent, lean, radius, slack, pitch, shape[0])
-    outside = smoothstep((rough - ring) / 0.06 + 0.5)
+    bent_turns = turns + compression * (0.006 * bend + (0.0015 + 0.003 * looseness) * arc)
+    ring = COLLARETTE + _collarette_offset(wreath, turns)
+    capacity = 2 * jnp.pi * distance / FIBRE_SPACING  # number of fibres that fit round a ring
+    share = amounts["crypts"] / MOST_CRYPTS * jnp.exp(2 * openness)
+    bent_turns, opening, bundle, ragged_radius = _fibre_bundles(
+        crypts, bent_turns, radius, ring, looseness, mist, share, capacity, shape[0]
+    )
+    crest = _furrows(furrows, turns, radius, amounts["furrows"])
+    lean = (0.02 + 0.05 * looseness) * (radius + 0.1 * arc)
+    cords, mesh, streak, gap = _fibres(
+        fibres, bent_turns, lean, radius, compression, capacity, shape[0]
+    )
+    outside = smoothstep((ragged_radius - ring) / 0.06 + 0.5)
     # Between the cords of the pupillary zone lie slits, which narrow outwards.
     taper = jnp.maximum(1 - radius / (ring * (0.75 + 0.6 * mist)), 0.0)
     slit = jnp.exp(-((4 * gap) ** 2) / (taper + 1e-3)) * smoothstep(6 * taper)
     # Near the root the cords bend into arcs.
     root = jnp.exp(-((3 * arc) ** 2)) * smoothstep((radius - 0.6) / 0.3)
-    hole = hole * smoothstep((1.1 - cords) / 0.5)  # cords bridge an opening
-    hole *= jnp.minimum(1.0, 1.3 / slack)  # a wide pupil closes them
-    clear = much["fibres"] * focus
-    within = clear * ((0.5 + 0.7 * hole) * mesh + 0.2 * wool + 0.3 * streak + 0.4 * root)
-    upper = (0.9 + 0.8 * outside) * (cords - 0.3) + 0.8 * outside * loose * (seam - 0.3)
-    surface = clear * upper
-    surface -= 0.6 * much["fibres"] * (1 - focus)  # as thick as between the cords
-    surface += much["clouds"] * (0.45 * cloud + 0.35 * wide + 0.35 * mist) * (0.4 + 0.6 * outside)
-    surface += much["collarette"] * _wreath(wreath, turns, rough, ring)
-    surface -= 0.5 * hole + 0.4 * clear * slit
-    rim = jnp.where(much["ruff"] > 0, _ruff(wreath, turns, radius / slack), 0.0)
-    within -= 2.5 * much["ruff"] * rim + 0.6 * hole + 0.8 * clear * slit
+    opening = opening * smoothstep((1.1 - cords) / 0.5)  # cords bridge an opening
+    opening *= jnp.minimum(1.0, 1.3 / compression)  # a wide pupil closes them
+    contrast = amounts["fibres"] * focus
+    # Logarithms of the stroma's thickness: `surface` rises towards the cornea, `inner` lies below.
+    inner = contrast * ((0.5 + 0.7 * opening) * mesh + 0.2 * wool + 0.3 * streak + 0.4 * root)
+    upper = (0.9 + 0.8 * outside) * (cords - 0.3) + 0.8 * outside * looseness * (bundle - 0.3)
+    surface = contrast * upper
+    surface -= 0.6 * amounts["fibres"] * (1 - focus)  # as thick as between the cords
+    clouds = 0.45 * cloud + 0.35 * wide + 0.35 * mist
+    surface += amounts["clouds"] * clouds * (0.4 + 0.6 * outside)
+    surface += amounts["collarette"] * _collarette_height(wreath, turns, ragged_radius, ring)
+    surface -= 0.5 * opening + 0.4 * contrast * slit
+    rim = jnp.where(amounts["ruff"] > 0, _pupillary_ruff(wreath, turns, radius / compression), 0.0)
+    inner -= 2.5 * amounts["ruff"] * rim + 0.6 * opening + 0.8 * contrast * slit
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
-    stroma *= pressed * jnp.exp(surface + within)
-    mottled = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * (cords - 0.3)
-    thickness = pressed * jnp.maximum(1 + much["abl"] * mottled, 0.0)
-    thickness = _bounded(thickness, place, total * iris.abl_thickness, ABL)
-    uneven = total * iris.stroma_thickness * _softened(jnp.tanh(surface))
-    uneven += jnp.where(much["abl"] > 0, thickness - total * iris.abl_thickness, 0.0)
+    stroma *= thickening * jnp.exp(surface + inner)
+    mottling = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * (cords - 0.3)
+    abl = thickening * jnp.maximum(1 + amounts["abl"] * mottling, 0.0)
+    abl = _limit_range(abl, distance, mean_abl, ABL)
+    height = mean_stroma * _soften(jnp.tanh(surface))
+    height += jnp.where(amounts["abl"] > 0, abl - mean_abl, 0.0)
     reach = ring + 0.14 + 0.15 * cloud + 0.25 * streak
-    inner = smoothstep((reach - rough) / 0.25 + 0.5)
-    brown = 1 + much["heterochromia"] * inner * (1 + 0.7 * mist)
+    zone = smoothstep((reach - ragged_radius) / 0.25 + 0.5)
+    eumelanin = 1 + amounts["heterochromia"] * zone * (1 + 0.7 * mist)
     root = smoothstep((radius - 0.86 + 0.12 * cloud) / 0.16)
     dark = 0.8 * cloud + 0.6 * jnp.tanh(4 * wide) + 0.6 * mist + 0.5 * streak + 0.9 * root
-    dark += 2.0 * rim + 3.0 * (hole + slit) - clear * (1.5 * (cords - 0.3) + 0.4 * mesh)
-    brown *= jnp.exp(much["patches"] * dark)
+    dark += 2.0 * rim + 3.0 * (opening + slit) - contrast * (1.5 * (cords - 0.3) + 0.4 * mesh)
+    eumelanin *= jnp.exp(amounts["patches"] * dark)
     reach = ring + 0.3 + 0.2 * wide - 0.2 * cloud + 0.2 * streak
-    inner = smoothstep((reach - rough) / 0.5 + 0.5)
-    yellow = 1 + much["amber"] * inner * (1 + 0.8 * mist + 0.4 * cloud)
-    spots = freckles, turns, rest.from_axis(radius), rest, mist + wool
+    zone = smoothstep((reach - ragged_radius) / 0.5 + 0.5)
+    pheomelanin = 1 + amounts["amber"] * zone * (1 + 0.8 * mist + 0.4 * cloud)
+    folds = FURROW_HEIGHT * jnp.minimum(compression, 2.0) * crest
+    distance_at_rest, count = eye_at_rest.from_axis(radius), amounts["freckles"]
     return {
-        "stroma_depth": _bounded(stroma, place, total * iris.stroma_thickness, STROMA),
-        "abl_depth": thickness,
-        "relief": much["relief"] * uneven + FOLD * jnp.minimum(slack, 2.0) * crest,
-        "freckles": _freckles(*spots, much["freckles"]),
-        "eumelanin": _bounded(brown, place, 1.0, MELANIN),
-        "pheomelanin": _bounded(yellow, place, 1.0, MELANIN),
+        "stroma_depth": _limit_range(stroma, distance, mean_stroma, STROMA),
+        "abl_depth": abl,
+        "relief": amounts["relief"] * height + folds,
+        "freckles": _freckles(freckles, turns, distance_at_rest, eye_at_rest, mist + wool, count),
+        "eumelanin": _limit_range(eumelanin, distance, 1.0, MELANIN),
+        "pheomelanin": _limit_range(pheomelanin, distance, 1.0, MELANIN),
     }
 
 
 def stroma_profile(radius: _Radius) -> _Radius:
-    """Thickness of a generic stroma, mm, at relative radii from 0 (2 mm) to 1 (5.5 mm).
+    """Compute the thickness of a generic stroma, mm, at relative radii from 0 (2 mm) to 1 (5.5 mm).
 
-    Quadratic through 0.645, 0.457 and 0.372 mm at 2.25, 3.5 and 5 mm, less IPE and ABL  [F09
+    It is quadratic through 0.645, 0.457 and 0.372 mm at 2.25, 3.5 and 5 mm, minus IPE and ABL  [F09
     Section 3].
     """
     r = 2.0 + 3.5 * radius
-    inner, outer = (0.457 - 0.645) / 1.25, (0.372 - 0.457) / 1.5
-    whole = 0.645 + (r - 2.25) * (inner + (r - 3.5) * (outer - inner) / 2.75)
-    return whole - IPE_THICKNESS - 0.05675
+    inner_slope, outer_slope = (0.457 - 0.645) / 1.25, (0.372 - 0.457) / 1.5
+    thickness = 0.645 + (r - 2.25) * (inner_slope + (r - 3.5) * (outer_slope - inner_slope) / 2.75)
+    return thickness - IPE_THICKNESS - 0.05675
 
 
-def _softened(height: NoiseField) -> NoiseField:
-    """Without the angular frequencies that a map's texels hold no slope of: twice (1, 2, 1) / 4."""
+def _soften(height: NoiseField) -> NoiseField:
+    """Remove the angular frequencies whose slopes texels cannot resolve, by (1, 2, 1) / 4 twice."""
     for _ in range(2):
         height = (jnp.roll(height, 1, 0) + 2 * height + jnp.roll(height, -1, 0)) / 4
     return height
 
 
-def _scaled(thickness, place, mean) -> NoiseField:
-    """Scaled to an area mean: texels cover areas in proportion to their distance from the axis."""
-    return thickness * (mean * jnp.sum(place) / jnp.sum(thickness * place))
+def _scale_to_mean(values, distance, mean) -> NoiseField:
+    """Scale to an area mean; texels cover areas in proportion to their distance from the axis."""
+    return values * (mean * jnp.sum(distance) / jnp.sum(values * distance))
 
 
-def _bounded(thickness, place, mean, within: tuple[float, float]) -> NoiseField:
-    """The same within a range, but for what the clipped tails shift the mean.
+def _limit_range(values, distance, mean, limits: tuple[float, float]) -> NoiseField:
+    """Scale to an area mean, and limit the values to a range relative to it.
 
-    It flattens towards the upper end, so that what is thick keeps its fibres.
+    They are compressed towards the upper end, so that thick tissue keeps its fibres. Clipped tails
+    shift the mean, and the final scaling leaves the range by as much.
     """
-    low, high = within
-    relative = _scaled(thickness, place, 1.0)
-    relative = _scaled(relative / jnp.sqrt(1 + (relative / high) ** 2), place, 1.0)
-    return _scaled(jnp.clip(relative, low, high) * mean, place, mean)
+    low, high = limits
+    relative = _scale_to_mean(values, distance, 1.0)
+    relative = _scale_to_mean(relative / jnp.sqrt(1 + (relative / high) ** 2), distance, 1.0)
+    return _scale_to_mean(jnp.clip(relative, low, high) * mean, distance, mean)
 
 
 def _strands(seed: Seed, turns, radius, count: int, sway: Scalar) -> NoiseField:
-    """Height, 0 to 1, of `count` wavy cords, most of them low and thin and a few high and thick,
-    each of which ends somewhere.
+    """Draw `count` wavy cords of finite length, of height 0 to 1, most of them low and thin and a
+    few high and thick.
     """
-    wave, *own = split_seed(seed, 5)
+    wave, *seeds = split_seed(seed, 5)
     x = turns * count
 
-    def over(top, offset):
+    def add_strand(top, offset):
         strand = jnp.floor(x) + offset
-        where, size, middle, length = (hashed(s, strand % count, 0 * x) for s in own)
+        shift, size, middle, length = (hash_uniform(s, strand % count, 0 * x) for s in seeds)
         size = ((1 + size) / 2) ** 3
-        shift = 0.8 * where + sway * noise(wave, strand / count, radius, (count, 4), 2)
-        off = (x - strand - 0.5 - shift) / (0.14 + 0.4 * size)
-        ends = jnp.abs(radius - 0.55 - 0.4 * middle) / (0.45 + 0.25 * length)
-        height = (0.25 + 0.75 * size) * smoothstep(3 - 3 * ends)
-        return jnp.maximum(top, height * jnp.exp(-off * off)), None
+        shift = 0.8 * shift + sway * noise(wave, strand / count, radius, (count, 4), 2)
+        away = (x - strand - 0.5 - shift) / (0.14 + 0.4 * size)
+        along = jnp.abs(radius - 0.55 - 0.4 * middle) / (0.45 + 0.25 * length)
+        height = (0.25 + 0.75 * size) * smoothstep(3 - 3 * along)
+        return jnp.maximum(top, height * jnp.exp(-away * away)), None
 
-    return jax.lax.scan(over, jnp.zeros_like(x), jnp.arange(-2, 3).astype(x.dtype))[0]
+    return jax.lax.scan(add_strand, jnp.zeros_like(x), jnp.arange(-2, 3).astype(x.dtype))[0]
 
 
 def _fibres(
-    seed: Seed, turns, lean, radius, slack, room, angles: int
+    seed: Seed, turns, lean, radius, compression, capacity, angles: int
 ) -> tuple[NoiseField, NoiseField, NoiseField, NoiseField]:
-    """Cords of the upper leaf, from 0; the finer meshwork below, about 0; and streaks along both.
+    """Grow the fibres of both leaves of the stroma.
 
-    Ridges at the zeros of noise lie at uneven distances, join and end. Of the upper ones the finer
-    lie along the coarser, so that they are gathered in bundles and brightness is heavy-tailed. The
-    lower ones lean to either side and cross.
+    Ridges at the zeros of noise lie at uneven distances, join and end. In the upper leaf the finer
+    ridges lie along the coarser ones, so that they form bundles and brightness is heavy-tailed. In
+    the lower leaf they lean to either side and cross.
+
+    Returns:
+        Heights of the cords of the upper leaf, from 0; of the finer meshwork below, about 0; noise
+        for streaks along both; and noise for slits.
     """
-    few, many = split_seed(seed, 2)
+    cord_seed, field_seed = split_seed(seed, 2)
     around, along = (19, 41, 89, 167, 61, 71, 139, 157, 90, 90), (1, 1, 2, 2, 3, 3, 4, 4, 2, 1)
     kinds = [(min(n, angles // 4), m) for n, m in zip(around, along, strict=True)]
     leaning = jnp.asarray([0.0, 0.2, -0.2, 0.0, 1.0, -1.0, 1.0, -1.0, 0.0, 0.0], radius.dtype)
-    table = jnp.stack(split_seed(many, len(kinds))), *jnp.asarray(kinds).T, leaning
+    table = jnp.stack(split_seed(field_seed, len(kinds))), *jnp.asarray(kinds).T, leaning
 
-    def field(kind):
-        seed, around, along, by = kind
-        return noise(seed, turns + by * lean, radius, (around, along))
+    def ridge_noise(kind):
+        seed, around, along, lean_factor = kind
+        return noise(seed, turns + lean_factor * lean, radius, (around, along))
 
-    *fields, streak, gap = jax.lax.map(field, table)
+    *fields, streak, gap = jax.lax.map(ridge_noise, table)
     ridges = []
-    for f, (n, _) in zip(fields, kinds, strict=False):
-        # About its zeros the noise over its slope is a distance: ridges are as wide everywhere.
-        slope = (jnp.roll(f, -1, 0) - jnp.roll(f, 1, 0)) * (angles / (2 * n))
-        away = f / jnp.hypot(0.7, slope)
-        # No ridge is narrower than two texels, nor drawn where many share a picture's pixel.
-        ridge = jnp.exp(-((min(7.0, angles / (1.7 * n)) * away) ** 2))
+    for values, (n, _) in zip(fields, kinds, strict=False):
+        # Near its zeros, noise over its slope is a distance: all ridges have the same width.
+        slope = (jnp.roll(values, -1, 0) - jnp.roll(values, 1, 0)) * (angles / (2 * n))
+        distance = values / jnp.hypot(0.7, slope)
+        # No ridge is narrower than two texels, nor drawn where many would share a pixel.
+        ridge = jnp.exp(-((min(7.0, angles / (1.7 * n)) * distance) ** 2))
         mean = ridge.mean()
-        ridges.append(mean + smoothstep(room / n - 0.5) * (ridge - mean))
-    upper, gathered = 0.0, 1.0
+        ridges.append(mean + smoothstep(capacity / n - 0.5) * (ridge - mean))
+    upper, gathering = 0.0, 1.0
     for ridge, height in zip(ridges[:4], (0.3, 0.4, 0.5, 0.4), strict=True):
-        upper += height * gathered * ridge
-        gathered = 0.35 + ridge
-    cords = jnp.maximum(upper, _strands(few, turns, radius, min(59, angles // 5), 0.8 * slack))
+        upper += height * gathering * ridge
+        gathering = 0.35 + ridge
+    cords = jnp.maximum(
+        upper, _strands(cord_seed, turns, radius, min(59, angles // 5), 0.8 * compression)
+    )
     lower = sum(ridges[4:])
     return cords, lower - jnp.mean(lower), streak, gap
 
 
-def _bundles(
-    seed: Seed, turns, radius, ring, loose, ragged, share, room, angles: int
+def _fibre_bundles(
+    seed: Seed, turns, radius, ring, looseness, ragged, share, capacity, angles: int
 ) -> tuple[NoiseField, NoiseField, NoiseField, NoiseField]:
-    """Gaps between bundles of fibres, which part and join round cells of two sizes.
+    """Grow gaps between bundles of fibres, which part and join round cells of two sizes.
 
     Returns:
-        Turns along the fibres, depth of the open cells and height of the bundles, 0 to 1, and the
-        radius, ragged by the cells.
+        Angles (in turns) that follow the fibres, depth of the open cells and height of the bundles,
+        0 to 1, and the radius, made ragged by the cells.
     """
 
     def layer(carry, kind):
-        turns, hole, seam, _ = carry
-        own_seed, across, along, wide = kind
-        border, off, chance, middle = _cells(own_seed, turns, radius, across, along)
-        # Wide ones are open in a wreath, slits about it, and a few of both out to the root.
+        turns, opening, bundle, _ = carry
+        layer_seed, across, along, wide = kind
+        border, offset, chance, middle = _cells(layer_seed, turns, radius, across, along)
+        # Wide cells are open in a wreath, slits round it, and a few of both out to the root.
         wreath = jnp.exp(-(((middle - ring - 0.12) / 0.16) ** 2))
         slits = 0.6 * smoothstep((ring + 0.25 - middle) / 0.3) + 0.1
-        odds = share * (wide * wreath + (1 - wide) * slits)
-        odds *= smoothstep(room / across - 0.3)  # none where many share a picture's pixel
-        deep = smoothstep(1.5 - chance / jnp.maximum(odds, 1e-6))
-        hole = jnp.maximum(hole, deep * smoothstep((border - 0.1 + 0.3 * ragged) / 0.5))
+        probability = share * (wide * wreath + (1 - wide) * slits)
+        probability *= smoothstep(capacity / across - 0.3)  # none where many would share a pixel
+        openness = smoothstep(1.5 - chance / jnp.maximum(probability, 1e-6))
+        opening = jnp.maximum(opening, openness * smoothstep((border - 0.1 + 0.3 * ragged) / 0.5))
         height = jnp.exp(-((border / (0.2 + 0.1 * ragged)) ** 2))
-        turns -= (0.35 * loose + 0.4 * deep) * off
-        return (turns, hole, jnp.maximum(seam, height), middle), middle
+        turns -= (0.35 * looseness + 0.4 * openness) * offset
+        return (turns, opening, jnp.maximum(bundle, height), middle), middle
 
-    cells = [(min(n, angles // 4), *others) for n, *others in CELLS]
-    kinds = jnp.asarray(split_seed(seed, 2)), *jnp.asarray(cells, radius.dtype).T
+    layers = [(min(n, angles // 4), *others) for n, *others in BUNDLE_CELLS]
+    kinds = jnp.asarray(split_seed(seed, 2)), *jnp.asarray(layers, radius.dtype).T
     start = turns, 0 * radius, 0 * radius, 0 * radius
-    (turns, hole, seam, _), middles = jax.lax.scan(layer, start, kinds)
-    return turns, hole, seam, radius + 0.5 * (middles[0] - radius)
+    (turns, opening, bundle, _), middles = jax.lax.scan(layer, start, kinds)
+    return turns, opening, bundle, radius + 0.5 * (middles[0] - radius)
 
 
 def _cells(seed: Seed, turns, radius, across, along) -> tuple[NoiseField, ...]:
-    """Cells about scattered points: by how much the second point is farther than the nearest, in
-    cells, and of the nearest, blended at borders: its offset in turns, a number of its own from 0
-    to 1, and its radius.
+    """Draw cells round scattered points.
 
-    Rows are staggered and distances between those of a circle and a rhomb, so that cells end in
+    Rows are staggered and distances are between those of a circle and a rhomb, so that cells end in
     points.
+
+    Returns:
+        By how much the second point is farther than the nearest, in cells; and of the nearest,
+        blended at borders, its offset in turns, a random number from 0 to 1, and its radius.
     """
     draws = split_seed(seed, 4)
     y = radius * along + 1
 
-    def nearer(carry, offset):
+    def add_point(carry, offset):
         first, second, *sums = carry
         row = jnp.floor(y) + offset[1]
         x = turns * across - 0.5 * (row % 2)
-        at = jnp.floor(x) + offset[0]
-        a, b, size, own = (hashed(s, at % across, row) for s in draws)
-        dx, dy = x - at - 0.5 - 0.4 * a, y - row - 0.5 - 0.4 * b
-        away = (jnp.abs(dx) + jnp.abs(dy) + jnp.hypot(dx, dy)) / 2 + 0.25 * size
-        second = jnp.minimum(second, jnp.maximum(first, away))
-        of_it = 1.0, dx / across, 0.5 + 0.5 * own, radius - dy / along
-        weight = jnp.exp(-15 * away)
-        sums = (total + weight * value for total, value in zip(sums, of_it, strict=True))
-        return (jnp.minimum(first, away), second, *sums), None
+        column = jnp.floor(x) + offset[0]
+        a, b, size, number = (hash_uniform(s, column % across, row) for s in draws)
+        dx, dy = x - column - 0.5 - 0.4 * a, y - row - 0.5 - 0.4 * b
+        distance = (jnp.abs(dx) + jnp.abs(dy) + jnp.hypot(dx, dy)) / 2 + 0.25 * size
+        second = jnp.minimum(second, jnp.maximum(first, distance))
+        values = 1.0, dx / across, 0.5 + 0.5 * number, radius - dy / along
+        weight = jnp.exp(-15 * distance)
+        sums = (total + weight * value for total, value in zip(sums, values, strict=True))
+        return (jnp.minimum(first, distance), second, *sums), None
 
-    far, none = jnp.full_like(y, 9.0), jnp.zeros_like(y)
+    large, zero = jnp.full_like(y, 9.0), jnp.zeros_like(y)
     offsets = jnp.asarray([(i, j) for j in (-1, 0, 1) for i in (-1, 0, 1)], y.dtype)
-    start = far, far, none, none, none, none
-    first, second, weight, *sums = jax.lax.scan(nearer, start, offsets)[0]
+    start = large, large, zero, zero, zero, zero
+    first, second, weight, *sums = jax.lax.scan(add_point, start, offsets)[0]
     return second - first, *(total / weight for total in sums)
 
 
-def _wander(seed: Seed, turns) -> NoiseField:
-    """Deviation of the collarette from its mean radius, (angles, 1): teeth on a slow wander."""
+def _angular_noise(seed: Seed, turns, cells: int, octaves: int) -> NoiseField:
+    """Draw noise that varies with the angle alone, (angles, 1)."""
+    angle = turns[:, :1]
+    return noise(seed, angle, 0 * angle, (cells, 1), octaves)
+
+
+def _collarette_offset(seed: Seed, turns) -> NoiseField:
+    """Draw the collarette's deviation from its mean radius, (angles, 1): teeth on slow noise."""
     slow, teeth, *_ = split_seed(seed, 5)
-    at, none = turns[:, :1], 0 * turns[:, :1]
-    tooth = jnp.abs(noise(teeth, at, none, (31, 1), 2))
-    return 0.05 * noise(slow, at, none, (4, 1), 3) + 0.14 * (tooth - 0.3)
+    tooth = jnp.abs(_angular_noise(teeth, turns, 31, 2))
+    return 0.05 * _angular_noise(slow, turns, 4, 3) + 0.14 * (tooth - 0.3)
 
 
-def _wreath(seed: Seed, turns, radius, ring) -> NoiseField:
-    """Relative thickness that the collarette adds: two cords that wind about each other."""
+def _collarette_height(seed: Seed, turns, radius, ring) -> NoiseField:
+    """Compute the relative thickness that the collarette adds: two cords wound round each other."""
     *_, one, two, along = split_seed(seed, 5)
-    at, none = turns[:, :1], 0 * turns[:, :1]
-    height = 0.6 + 0.5 * noise(along, at, none, (24, 1), 3)
+    height = 0.6 + 0.5 * _angular_noise(along, turns, 24, 3)
 
     def cord(seed, spread, width):
-        off = radius - ring - spread * noise(seed, at, none, (23, 1), 3)
-        return jnp.exp(-((off / jnp.where(off < 0, 0.05, width)) ** 2))
+        offset = radius - ring - spread * _angular_noise(seed, turns, 23, 3)
+        return jnp.exp(-((offset / jnp.where(offset < 0, 0.05, width)) ** 2))
 
     crests = jnp.maximum(cord(one, 0.05, 0.12), 0.8 * cord(two, 0.08, 0.05))
     return 0.8 * height * crests - 0.35 * smoothstep((ring - radius) / 0.08)
 
 
-def _ruff(seed: Seed, turns, radius) -> NoiseField:
-    """Share of the seam of pigment epithelium at the pupil's edge, scalloped."""
-    at, none = turns[:, :1], 0 * turns[:, :1]
-    width = 0.024 + 0.016 * noise(split_seed(seed, 6)[5], at, none, (70, 1), 3)
+def _pupillary_ruff(seed: Seed, turns, radius) -> NoiseField:
+    """Compute the cover, 0 to 1, of the scalloped seam of pigment epithelium at the pupil."""
+    width = 0.024 + 0.016 * _angular_noise(split_seed(seed, 6)[5], turns, 70, 3)
     return smoothstep((width - radius) / 0.014 + 0.5)
 
 
-def _furrows(seed: Seed, turns, radius, count: Whole) -> NoiseField:
-    """Crests (to about +0.5) and furrows (to −1) of the folds of contraction."""
+def _furrows(seed: Seed, turns, radius, count: Count) -> NoiseField:
+    """Draw crests (to about +0.5) and furrows (to −1) of the folds of contraction."""
 
     def fold(k, height):
         wander, extent = split_seed(seed + k.astype(jnp.uint32), 2)
-        at, none = turns[:, :1], 0 * turns[:, :1]
-        middle = 0.5 + 0.36 * (k + 0.5) / count + 0.04 * noise(wander, at, none, (5, 1), 4)
-        depth = smoothstep(0.4 + 1.3 * noise(extent, at, none, (5, 1), 3))
-        off = (radius - middle) / 0.03
-        return height + depth * (0.45 * off**2 - 1) * jnp.exp(-0.5 * off**2)
+        middle = 0.5 + 0.36 * (k + 0.5) / count + 0.04 * _angular_noise(wander, turns, 5, 4)
+        depth = smoothstep(0.4 + 1.3 * _angular_noise(extent, turns, 5, 3))
+        offset = (radius - middle) / 0.03
+        return height + depth * (0.45 * offset**2 - 1) * jnp.exp(-0.5 * offset**2)
 
     return jax.lax.fori_loop(0, count, fold, jnp.zeros_like(radius))
 
 
-def _freckles(seed: Seed, turns, place, eye: Eye, ragged, count: Whole) -> NoiseField:
-    """Soft irregular spots, 0 to 1, of 0.05 to 0.25 mm radius."""
+def _freckles(seed: Seed, turns, distance, eye: Eye, ragged, count: Count) -> NoiseField:
+    """Draw soft irregular spots, 0 to 1, of 0.05 to 0.25 mm radius."""
 
-    def spot(k, painted):
-        a, b, c, d = drawn(seed, 4, k, place.dtype)
-        where = eye.from_axis(0.15 + 0.75 * b)
-        across = 2 * jnp.pi * ((turns - a + 0.5) % 1.0 - 0.5) * where
-        away = jnp.sqrt(across**2 + (place - where) ** 2) / (0.05 * 5.0 ** (c**2))
-        return jnp.maximum(painted, (0.3 + 0.7 * d) * smoothstep(1.4 - 0.9 * away + 0.8 * ragged))
+    def spot(k, cover):
+        a, b, c, d = draw_uniform(seed, 4, k, distance.dtype)
+        middle = eye.from_axis(0.15 + 0.75 * b)
+        across = 2 * jnp.pi * ((turns - a + 0.5) % 1.0 - 0.5) * middle
+        away = jnp.sqrt(across**2 + (distance - middle) ** 2) / (0.05 * 5.0 ** (c**2))
+        return jnp.maximum(cover, (0.3 + 0.7 * d) * smoothstep(1.4 - 0.9 * away + 0.8 * ragged))
 
-    return jax.lax.fori_loop(0, count, spot, jnp.zeros_like(place))
+    return jax.lax.fori_loop(0, count, spot, jnp.zeros_like(distance))

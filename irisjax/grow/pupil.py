@@ -17,15 +17,15 @@ def irregular_pupil(
     """Draw `Eye.pupil_harmonics`: normal amplitudes that fall as one over the harmonic's number.
 
     Args:
-        irregularity: Root mean square deviation from a circle, relative to the radius; 0.01 to 0.02
-            are usual.
-        harmonics: Number of harmonics, from the second on, which makes the pupil oval.
+        irregularity: Root mean square deviation from a circle, relative to the radius; usually
+            0.01 to 0.02.
+        harmonics: Number of harmonics, from the second one (an oval) on.
         key: Random key.
 
     Raises:
         ValueError: The irregularity is out of range.
     """
     check_range("irregularity", irregularity, IRREGULARITY)
-    drawn = jax.random.normal(key, (harmonics, 2)) / jnp.arange(2.0, harmonics + 2)[:, None]
-    # The mean square of a sine is a half. An amplitude may be 1.41 times the deviation.
-    return irregularity * drawn / jnp.sqrt(0.5 * jnp.sum(drawn**2))
+    amplitudes = jax.random.normal(key, (harmonics, 2)) / jnp.arange(2.0, harmonics + 2)[:, None]
+    # The mean square of a sine is one half.
+    return irregularity * amplitudes / jnp.sqrt(0.5 * jnp.sum(amplitudes**2))

@@ -17,12 +17,12 @@ VEINS = {"clear": 0.15, "usual": 0.35, "bloodshot": 1.5}
 """Densities of vessels by name, set by eye."""
 _STEP = 0.06  # mm along a curve
 _CHUNK = 8192  # segments stamped at once
-_LOST = 0.97  # share of a vessel's r³ that leaves it by its daughters
-_SPREAD = 0.07  # mm, how far the tissue above an episcleral vessel blurs its edge
+_BRANCHED_SHARE = 0.97  # share of a vessel's r³ that its daughters take
+_BLUR = 0.07  # mm, how far the tissue above an episcleral vessel blurs its edge
 
 
 class _Curves(NamedTuple):
-    """Curves of equal numbers of points; each field has shape (curves, points)."""
+    """Curves with equal numbers of points; each field has shape (curves, points)."""
 
     azimuth: np.ndarray
     arc: np.ndarray
@@ -31,7 +31,7 @@ class _Curves(NamedTuple):
 
 
 class _Globe(NamedTuple):
-    """Sphere (mm) and polar angle of its limbus."""
+    """Radius of the globe (mm) and polar angle of its limbus."""
 
     radius: float
     limbus: float
@@ -41,7 +41,7 @@ class _Globe(NamedTuple):
         """Arc from the limbus to the equator, mm."""
         return self.radius * (np.pi / 2 - self.limbus)
 
-    def girth(self, arc: np.ndarray) -> np.ndarray:
+    def axis_distance(self, arc: np.ndarray) -> np.ndarray:
         """Distance from the axis at an arc, mm."""
         return self.radius * np.sin(self.limbus + np.clip(arc, 0, self.end) / self.radius)
 
@@ -49,13 +49,12 @@ class _Globe(NamedTuple):
 def veins(eye: Eye, *, shape: tuple[int, int] = (1024, 512), key: PRNGKey) -> VeinMap | None:
     """Grow random vessels over the sclera of an eye; `None` where its `veins` are 0.
 
-    Conjunctival trees come from the periphery, many from the corners of the lids, share r³ with
+    Conjunctival trees come from the periphery, many from the corners of the lids, divide r³ among
     their daughters [Murray 1926] and end in arcades along the limbus, with hairpin loops between
     them; trunks have radii of 14 to 38 µm, loops 6 µm, as wide as the conjunctival vessels that OCT
     finds there. Episcleral vessels are fewer, straighter and wider (25 to 70 µm). All fade towards
-    the limbus, and a flush stands for capillaries too fine to be drawn. Their number grows with
-    `eye.sclera.veins`. Approximation: at crossings
-    the vessel of larger cover counts alone, and so does the thicker one.
+    the limbus, and a flush represents capillaries too fine to be drawn. Their number grows with
+    `eye.sclera.veins`. Approximation: where vessels cross, depth and cover are those of the larger.
 
     Args:
         eye: The eye, not traced.
@@ -76,34 +75,34 @@ def veins(eye: Eye, *, shape: tuple[int, int] = (1024, 512), key: PRNGKey) -> Ve
         levels.append(_branches(rng, globe, levels[-1], forks, reach))
     for curves in (*levels, _loops(rng, globe, round(220 * density))):
         _stamp([(depth, _chord), (cover, _cover)], globe, curves, 0.03)
-    # Light that wanders sideways below a vessel meets it too: a faint shade round it.
+    # Light that spreads sideways below a vessel meets it too: a faint shadow lies round it.
     for curves in levels[:3]:
-        _stamp([(deep, _halo)], globe, curves, 3 * _SPREAD)
+        _stamp([(deep, _shadow_cover)], globe, curves, 3 * _BLUR)
     episcleral = _trunks(rng, globe, round(24 * density), (0.025, 0.07), 0.3)
     levels = [episcleral, _branches(rng, globe, episcleral, 4, 3.0)]
     for curves in levels:
-        _stamp([(deep, _shade)], globe, curves, 3 * _SPREAD)
+        _stamp([(deep, _deep_cover)], globe, curves, 3 * _BLUR)
     arc = globe.end * (np.arange(shape[1]) + 0.5) / shape[1]  # mm from the limbus
-    shown = np.clip((arc - 0.2) / 4.0, 0, 1) ** 0.7
-    cover *= 0.3 + 0.7 * shown
-    deep *= shown
-    deep += _flush(rng, density, shape) * (0.4 + 0.6 * shown)
+    fade = np.clip((arc - 0.2) / 4.0, 0, 1) ** 0.7
+    cover *= 0.3 + 0.7 * fade
+    deep *= fade
+    deep += _flush(rng, density, shape) * (0.4 + 0.6 * fade)
     maps[1:] = np.clip(maps[1:], 0, 1)
     return VeinMap(*jnp.asarray(maps, jnp.result_type(float)))
 
 
 def _flush(rng, density: float, shape: tuple[int, int]) -> np.ndarray:
-    """Capillaries too fine to be drawn: blotches, denser towards the corners of the lids."""
+    """Draw blotches of capillaries too fine to be drawn, denser towards the corners of the lids."""
     azimuth = 2 * np.pi * (np.arange(shape[0]) + 0.5) / shape[0]
     waves = np.fft.fftfreq(shape[0], 1 / shape[0])[:, None], np.fft.fftfreq(shape[1], 1 / shape[1])
-    keep = np.exp(-((waves[0] / 14) ** 2) - (waves[1] / 5) ** 2)
-    blotches = np.fft.ifft2(np.fft.fft2(rng.normal(size=shape)) * keep).real
-    towards = 0.5 + 0.5 * np.cos(azimuth)[:, None] ** 2
-    return 0.07 * density**0.5 * towards * np.clip(1 + 0.5 * blotches / blotches.std(), 0, 3)
+    low_pass = np.exp(-((waves[0] / 14) ** 2) - (waves[1] / 5) ** 2)
+    blotches = np.fft.ifft2(np.fft.fft2(rng.normal(size=shape)) * low_pass).real
+    flush = 0.07 * density**0.5 * (0.5 + 0.5 * np.cos(azimuth)[:, None] ** 2)
+    return flush * np.clip(1 + 0.5 * blotches / blotches.std(), 0, 3)
 
 
 def _trunks(rng, globe: _Globe, count: int, radii, wander: float) -> _Curves:
-    """Vessels from the periphery, many from the corners of the lids, at azimuths 0 and π."""
+    """Grow vessels from the periphery, many from the corners of the lids, at azimuths 0 and π."""
     corner = np.where(rng.random(count) < 0.5, 0.0, np.pi) + rng.normal(0, 0.5, count)
     azimuth = np.where(rng.random(count) < 0.4, corner, rng.uniform(0, 2 * np.pi, count))
     arc = globe.end * rng.uniform(0.6, 1.05, count)
@@ -114,51 +113,52 @@ def _trunks(rng, globe: _Globe, count: int, radii, wander: float) -> _Curves:
 
 
 def _branches(rng, globe: _Globe, parents: _Curves, forks: int, reach: float) -> _Curves:
-    """Daughters of curves, which share out the r³ that these lose on their way."""
+    """Grow daughters of curves, which divide the r³ that these lose along their length."""
     curves, points = parents.azimuth.shape
     last = np.maximum((parents.radius > 0).sum(axis=1) - 1, 1)[:, None]
-    at = np.clip((last * rng.uniform(0.08, 1.0, (curves, forks))).astype(int), 0, points - 1)
-    share = rng.uniform(0.3, 1.0, at.shape)
-    share *= _LOST / share.sum(axis=1, keepdims=True)
-    row = np.arange(curves)[:, None]
-    alive = parents.radius[row, at] > 0
-    side = np.where(rng.random(at.shape) < 0.5, -1.0, 1.0)
-    heading = parents.heading[row, at] + side * rng.uniform(0.5, 1.3, at.shape)
+    fork = np.clip((last * rng.uniform(0.08, 1.0, (curves, forks))).astype(int), 0, points - 1)
+    share = rng.uniform(0.3, 1.0, fork.shape)
+    share *= _BRANCHED_SHARE / share.sum(axis=1, keepdims=True)
+    curve = np.arange(curves)[:, None]
+    alive = parents.radius[curve, fork] > 0
+    side = np.where(rng.random(fork.shape) < 0.5, -1.0, 1.0)
+    heading = parents.heading[curve, fork] + side * rng.uniform(0.5, 1.3, fork.shape)
     radius = parents.radius[:, :1] * share ** (1 / 3)
-    start = parents.azimuth[row, at], parents.arc[row, at], heading, radius
+    start = parents.azimuth[curve, fork], parents.arc[curve, fork], heading, radius
     azimuth, arc, heading, radius = (field[alive] for field in start)
     lengths = reach * rng.uniform(0.4, 1.6, radius.size)
     return _walk(rng, globe, azimuth, arc, heading, radius, lengths, 0.7)
 
 
 def _walk(rng, globe: _Globe, azimuth, arc, heading, radius, reach, wander: float) -> _Curves:
-    """Curves of length `reach` (mm) that set out at `heading` from the inward direction.
-
-    They turn to the limbus. Radius 0 marks points past the end.
+    """Grow curves of length `reach` (mm) that start at the angle `heading` from the direction of
+    the limbus and turn towards it. Radius 0 marks points past the end.
     """
     count = azimuth.size
     steps = max(int(np.ceil(reach.max(initial=_STEP) / _STEP)), 4)
     out = np.zeros((4, steps + 1, count))
     side = np.where(heading < 0, -1.0, 1.0)
-    # The heading wanders as the sum of two stationary processes with memories of 0.9 and 0.2 mm.
-    spread, keep = wander * np.array([[1], [0.6]]), np.exp(-_STEP / np.array([[0.9], [0.2]]))
-    wandered = spread * rng.normal(size=(2, count))
+    # The heading varies as the sum of two stationary processes correlated over 0.9 and 0.2 mm.
+    spread, memory = wander * np.array([[1], [0.6]]), np.exp(-_STEP / np.array([[0.9], [0.2]]))
+    deviations = spread * rng.normal(size=(2, count))
     for k in range(steps + 1):
-        shown = (k * _STEP <= reach) & (arc > 0.05)
+        visible = (k * _STEP <= reach) & (arc > 0.05)
         # Near the limbus vessels turn along it and join arcades.
-        free = np.clip(arc / 1.0, 0, 1)
-        way = free * (heading + wandered.sum(0)) + side * (1 - free) * 1.5
-        kept = np.cbrt(np.maximum(1 - _LOST * k * _STEP / reach, 0))
-        out[:, k] = azimuth, arc, way, np.where(shown, radius * kept, 0)
-        azimuth = azimuth + _STEP * np.sin(way) / globe.girth(arc)
-        arc = arc - _STEP * np.cos(way)
+        freedom = np.clip(arc / 1.0, 0, 1)
+        direction = freedom * (heading + deviations.sum(0)) + side * (1 - freedom) * 1.5
+        remaining = np.cbrt(np.maximum(1 - _BRANCHED_SHARE * k * _STEP / reach, 0))
+        out[:, k] = azimuth, arc, direction, np.where(visible, radius * remaining, 0)
+        azimuth = azimuth + _STEP * np.sin(direction) / globe.axis_distance(arc)
+        arc = arc - _STEP * np.cos(direction)
         heading = heading * (1 - _STEP / 6.0)
-        wandered = keep * wandered + spread * np.sqrt(1 - keep**2) * rng.normal(size=(2, count))
+        deviations = memory * deviations + spread * np.sqrt(1 - memory**2) * rng.normal(
+            size=(2, count)
+        )
     return _Curves(*out.swapaxes(1, 2))
 
 
 def _loops(rng, globe: _Globe, count: int) -> _Curves:
-    """Hairpins of 6 µm that reach towards the limbus and return."""
+    """Grow hairpin loops of 6 µm that reach towards the limbus and return."""
     azimuth = rng.uniform(0, 2 * np.pi, count)[:, None]
     base, tip = rng.uniform(0.6, 1.6, count)[:, None], rng.uniform(0.08, 0.4, count)[:, None]
     t = np.linspace(-1, 1, 33)
@@ -166,52 +166,54 @@ def _loops(rng, globe: _Globe, count: int) -> _Curves:
     phase = rng.uniform(0, 2 * np.pi, (count, 1))
     across = width * np.sin(t * np.pi / 2) + lean * t * t + 0.03 * np.sin(9 * t + phase)
     arc = tip + (base - tip) * t * t
-    turn = azimuth + across / globe.girth(arc)
+    turn = azimuth + across / globe.axis_distance(arc)
     return _Curves(turn, arc, np.zeros_like(arc), np.full_like(arc, 0.006))
 
 
 def _chord(distance, radius, width):
-    """Mean depth of blood in a round vessel, kept for a texel past its edge."""
+    """Return the mean depth of blood in a round vessel, constant up to a texel past its edge."""
     return np.where(distance < radius + width, np.pi / 2 * radius, 0.0)
 
 
 def _cover(distance, radius, width):
-    """Share of a texel that a vessel covers: widths are kept, whatever the texel."""
+    """Return the share of a texel that a vessel covers: widths are preserved at any resolution."""
     overlap = np.minimum(distance + width / 2, radius) - np.maximum(distance - width / 2, -radius)
     return np.clip(overlap / width, 0, 1)
 
 
-def _shade(distance, radius, width):
-    """Share of the light that meets a deep vessel, blurred by the tissue over it."""
-    return 0.5 * (np.tanh((distance + radius) / _SPREAD) - np.tanh((distance - radius) / _SPREAD))
+def _deep_cover(distance, radius, width):
+    """Return the share of the light that meets a deep vessel, blurred by the tissue over it."""
+    return 0.5 * (np.tanh((distance + radius) / _BLUR) - np.tanh((distance - radius) / _BLUR))
 
 
-def _halo(distance, radius, width):
-    """Share of the light that meets a conjunctival vessel from below."""
-    return 0.35 * _shade(distance, radius, width)
+def _shadow_cover(distance, radius, width):
+    """Return the share of the light that meets a conjunctival vessel from below."""
+    return 0.35 * _deep_cover(distance, radius, width)
 
 
 def _stamp(layers, globe: _Globe, curves: _Curves, margin: float) -> None:
-    """Draw curves into textures by their profiles, which end `margin` mm outside; maxima count."""
+    """Draw curves into textures by maxima of their profiles, which end `margin` mm outside."""
     rows, columns = layers[0][0].shape
     along = globe.end / columns
-    there = (curves.radius[:, :-1] > 0) & (curves.radius[:, 1:] > 0)
-    starts, ends = ([f[:, k:][:, : there.shape[1]][there] for f in curves] for k in (0, 1))
+    present = (curves.radius[:, :-1] > 0) & (curves.radius[:, 1:] > 0)
+    starts, ends = ([f[:, k:][:, : present.shape[1]][present] for f in curves] for k in (0, 1))
     order = np.argsort(starts[3] + ends[3], kind="stable")
     for first in range(0, order.size, _CHUNK):
         block = order[first : first + _CHUNK]
         (a0, s0, _, r0), (a1, s1, _, r1) = ([f[block] for f in end] for end in (starts, ends))
         r = 0.5 * (r0 + r1)[:, None, None]
-        girth = globe.girth(0.5 * (s0 + s1))
-        cell = (2 * np.pi / rows) * girth  # mm
-        out = 0.5 * _STEP + float(r.max()) + margin
-        reach = (int(np.ceil(out / size)) + 1 for size in (cell.min(), along))
+        axis_distance = globe.axis_distance(0.5 * (s0 + s1))
+        cell = (2 * np.pi / rows) * axis_distance  # mm
+        radius_of_influence = 0.5 * _STEP + float(r.max()) + margin
+        reach = (int(np.ceil(radius_of_influence / size)) + 1 for size in (cell.min(), along))
         di, dj = (np.arange(-n, n + 1) for n in reach)
         row = np.floor(0.5 * (a0 + a1) * rows / (2 * np.pi)).astype(int)[:, None] + di
         column = np.floor(0.5 * (s0 + s1) / along).astype(int)[:, None] + dj
-        x = ((row + 0.5) * (2 * np.pi / rows) - a0[:, None])[:, :, None] * girth[:, None, None]
+        x = ((row + 0.5) * (2 * np.pi / rows) - a0[:, None])[:, :, None] * axis_distance[
+            :, None, None
+        ]
         y = ((column + 0.5) * along - s0[:, None])[:, None, :]
-        u, v = ((a1 - a0) * girth)[:, None, None], (s1 - s0)[:, None, None]
+        u, v = ((a1 - a0) * axis_distance)[:, None, None], (s1 - s0)[:, None, None]
         length = np.sqrt(u * u + v * v) + 1e-12
         t = np.clip((x * u + y * v) / length**2, 0, 1)
         distance = np.sqrt((x - t * u) ** 2 + (y - t * v) ** 2)
