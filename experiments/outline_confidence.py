@@ -48,7 +48,7 @@ def main(key, quick=False, out=RESULTS):
     """Write the outlines of each photograph, the 95 % intervals of its tilt in degrees, how often
     outlines of each confidence are right, and the weights of the evidence that say so.
     """
-    seed, number = int(jax.random.key_data(key)[-1]), 8 if quick else NUMBER
+    seed, number = int(jax.random.key_data(key)[-1]), 3 if quick else NUMBER
     about = [f"{number} made photographs, seed {seed}; errors relative to the limbus's radius"]
     rows, counted = [], {"limbus": [], "pupil": []}
     for k, made in enumerate(made_photographs(number, seed)):

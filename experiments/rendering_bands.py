@@ -19,12 +19,12 @@ LIGHTS = ("D65", "A", "FL11")
 
 
 def main(key, quick=False, out=RESULTS):
-    """Write nodes with their matrix, and colour differences by illuminant (quick: 60 irides, 6
+    """Write nodes with their matrix, and colour differences by illuminant (quick: 12 irides, 4
     nodes).
     """
     from colour.difference import delta_E_CIE2000
 
-    count, n = (60, 6) if quick else (1000, 10)
+    count, n = (12, 4) if quick else (1000, 10)
     made, other = (_spectra(jax.random.fold_in(key, i), count) for i in range(2))
     weights = [np.asarray(tristimulus_matrix(GRID, "XYZ", light, OBSERVER)[0]) for light in LIGHTS]
     scaled = made / (
