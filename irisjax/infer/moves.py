@@ -1,5 +1,6 @@
 """Moves of an ensemble of walkers, in coordinates in which the posterior's ridge is straight."""
 
+import functools
 from typing import Any, NamedTuple
 
 import emcee
@@ -34,14 +35,12 @@ class Straightening(NamedTuple):
         variance, axes = np.linalg.eigh(np.cov(z.T).reshape(z.shape[1], z.shape[1]))
         axes = (axes * np.sqrt(np.maximum(variance, 1e-12 * variance.max())))[:, ::-1]
         w = np.linalg.solve(axes, (z - mean).T).T
-        bends, width = [], np.empty(len(mean))
-        for i, column in enumerate(w.T):
-            terms = _quadratic(w[:, :i])
-            # Normal equations: well conditioned, as the coordinates have unit variance.
-            gram = terms.T @ terms + 1e-9 * len(terms) * np.eye(terms.shape[1])
-            bends.append(np.linalg.solve(gram, terms.T @ column))
-            width[i] = np.std(column - terms @ bends[i])
-        return cls(mean, axes, bends, width)
+        # Normal equations: well conditioned, as the coordinates have unit variance.
+        terms = _quadratic(w[:, :-1])
+        gram, sums = terms.T @ terms + 1e-9 * len(terms) * np.eye(terms.shape[1]), terms.T @ w
+        counts = ((i + 1) * (i + 2) // 2 for i in range(len(mean)))
+        bends = [np.linalg.solve(gram[:n, :n], sums[:n, i]) for i, n in enumerate(counts)]
+        return cls(mean, axes, bends, np.std(w - _shifts(w, bends), axis=0))
 
     def linear(self) -> "Straightening":
         """Return the same axes without bends."""
@@ -51,8 +50,7 @@ class Straightening(NamedTuple):
     def forward(self, z: Float[np.ndarray, "n free"]) -> Float[np.ndarray, "n free"]:
         """Compute y of z."""
         w = np.linalg.solve(self.axes, (z - self.mean).T).T
-        shifts = [_quadratic(w[:, :i]) @ bend for i, bend in enumerate(self.bends)]
-        return (w - np.stack(shifts, axis=1)) / self.width
+        return (w - _shifts(w, self.bends)) / self.width
 
     def inverse(self, y: Float[np.ndarray, "n free"]) -> Float[np.ndarray, "n free"]:
         """Compute z of y."""
@@ -62,11 +60,22 @@ class Straightening(NamedTuple):
         return self.mean + w @ self.axes.T
 
 
+def _shifts(w, bends):
+    """Return the polynomials of each column of w, which are of those before it."""
+    terms = _quadratic(w[:, :-1])
+    return np.stack([terms[:, : len(bend)] @ bend for bend in bends], axis=1)
+
+
 def _quadratic(w):
-    """Return 1, w and the products of pairs, (n, terms)."""
-    w = np.clip(w, -_REACH, _REACH)
-    first, second = np.triu_indices(w.shape[1])
-    return np.concatenate([np.ones((len(w), 1)), w, w[:, first] * w[:, second]], axis=1)
+    """Return the products of pairs of 1 and w, (n, terms); those of the first columns alone come
+    first.
+    """
+    w = np.concatenate([np.ones((len(w), 1)), np.clip(w, -_REACH, _REACH)], axis=1)
+    first, second = _pairs(w.shape[1])
+    return w[:, first] * w[:, second]
+
+
+_pairs = functools.lru_cache(np.tril_indices)
 
 
 class Proposal:
