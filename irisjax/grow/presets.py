@@ -42,7 +42,7 @@ _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_
     "dark-brown": ((1.34, 0.315, 0.469, 0.0796, 29.2), (0.852, 0.301, 0.462, 0.109, 31.5)),
 }
 _FEATURES: dict[str, dict[str, Any]] = {
-    "blue": {"crypts": 9, "patches": 0.5, "furrows": 2, "clouds": 0.4},
+    "blue": {"crypts": 9, "patches": 0.5, "furrows": 2, "clouds": 0.4, "collarette": 1.0},
     "grey": {"patches": 0.8, "crypts": 18, "collarette": 1.4, "looseness": 0.7, "clouds": 0.4},
     "green": {"amber": 1.5, "heterochromia": 2.0, "patches": 0.8, "crypts": 18, "abl": 0.5},
     "hazel": {"heterochromia": 2.5, "patches": 0.5, "abl": 0.9, "freckles": 4, "crypts": 8},
@@ -101,7 +101,8 @@ def preset(
     fields |= {"saturation": _SATURATION, "stroma_thickness": thickness}
     iris = Iris().replace(**fields).replace(**dict(pigments or {}))
     # A share of the thickness, so that the relief is as high in a thicker stroma.
-    arguments: dict[str, Any] = {"relief": 0.1 * 0.2855 / thickness, "fibres": 1.5, "clouds": 0.6}
+    relief = 0.1 * 0.2855 / thickness
+    arguments: dict[str, Any] = {"relief": relief, "fibres": 1.5, "clouds": 0.6, "collarette": 0.6}
     arguments |= _FEATURES.get(colour, {}) | dict(features or {})
     return iris, procedural(iris, eye, shape=shape, **arguments, key=key)
 

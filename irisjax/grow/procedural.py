@@ -87,7 +87,8 @@ def procedural(
         looseness: Degree to which bundles of fibres part, wave and cross, in patches: 0 is straight
             and dense, 1 a net.
         clouds: Contrast of denser and clearer parts of the stroma, of several sizes.
-        collarette: Height of the wreath between pupillary and ciliary zone.
+        collarette: Contrast of the collarette between pupillary and ciliary zone: it is thicker and
+            paler, and the pupillary zone thinner and darker, than the ciliary zone.
         crypts: Expected number of openings near the collarette, at most `MOST_CRYPTS`: gaps between
             bundles of fibres. Small ones nearer the root are added in proportion.
         furrows: Number of concentric contraction furrows, partial arcs in the ciliary zone.
@@ -184,9 +185,11 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     surface -= 0.6 * amounts["fibres"] * (1 - focus)  # as thick as between the cords
     clouds = 0.45 * cloud + 0.35 * wide + 0.35 * mist
     surface += amounts["clouds"] * clouds * (0.4 + 0.6 * outside)
-    surface += amounts["collarette"] * _collarette_height(wreath, turns, ragged_radius, ring)
+    crests, pupillary = _collarette(wreath, turns, ragged_radius, ring)
+    surface += amounts["collarette"] * (0.2 * crests - 0.3 * pupillary)
     surface -= 0.5 * opening + 0.4 * contrast * slit
     rim = jnp.where(amounts["ruff"] > 0, _pupillary_ruff(wreath, turns, radius / compression), 0.0)
+    inner += amounts["collarette"] * (0.9 * crests - 0.6 * pupillary)
     inner -= 2.5 * amounts["ruff"] * rim + 0.6 * opening + 0.8 * contrast * slit
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
     stroma *= thickening * jnp.exp(surface + inner)
@@ -201,6 +204,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     root = smoothstep((radius - 0.86 + 0.12 * cloud) / 0.16)
     dark = 0.8 * cloud + 0.6 * jnp.tanh(4 * wide) + 0.6 * mist + 0.5 * streak + 0.9 * root
     dark += 2.0 * rim + 3.0 * (opening + slit) - contrast * (1.5 * (cords - 0.3) + 0.4 * mesh)
+    dark += amounts["collarette"] * (0.6 * pupillary - 0.8 * crests)
     eumelanin *= jnp.exp(amounts["patches"] * dark)
     reach = ring + 0.3 + 0.2 * wide - 0.2 * cloud + 0.2 * streak
     zone = smoothstep((reach - ragged_radius) / 0.5 + 0.5)
@@ -396,8 +400,10 @@ def _collarette_offset(seed: Seed, turns) -> NoiseField:
     return 0.05 * _angular_noise(slow, turns, 4, 3) + 0.14 * (tooth - 0.3)
 
 
-def _collarette_height(seed: Seed, turns, radius, ring) -> NoiseField:
-    """Compute the relative thickness that the collarette adds: two cords wound round each other."""
+def _collarette(seed: Seed, turns, radius, ring) -> tuple[NoiseField, NoiseField]:
+    """Compute the height of the collarette, two cords wound round each other, 0 to about 1, and the
+    pupillary zone, 1 inside the collarette and 0 outside.
+    """
     *_, one, two, along = split_seed(seed, 5)
     height = 0.6 + 0.5 * _angular_noise(along, turns, 24, 3)
 
@@ -406,7 +412,7 @@ def _collarette_height(seed: Seed, turns, radius, ring) -> NoiseField:
         return jnp.exp(-((offset / jnp.where(offset < 0, 0.05, width)) ** 2))
 
     crests = jnp.maximum(cord(one, 0.05, 0.12), 0.8 * cord(two, 0.08, 0.05))
-    return 0.8 * height * crests - 0.35 * smoothstep((ring - radius) / 0.08)
+    return height * crests, smoothstep((ring - radius) / 0.08)
 
 
 def _pupillary_ruff(seed: Seed, turns, radius) -> NoiseField:

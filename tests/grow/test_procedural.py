@@ -70,10 +70,12 @@ def test_a_wider_pupil_presses_the_same_tissue_together(everything):
         np.testing.assert_allclose(volumes(moved, name, 3.4), volumes(everything, name, 1.9))
     np.testing.assert_array_equal(moved.eumelanin, everything.eumelanin)
 
-    def seam(maps, pupil):  # mm over which the stroma rises to half at the pupil
-        mean = np.asarray(maps.stroma_depth).mean(0)
+    def seam(maps, pupil):  # mm over which the seam leaves half of the stroma
+        bare = EXTRA | {"ruff": 0.0}
+        whole = procedural(ij.Iris(), ij.Eye(pupil_radius=pupil), shape=SHAPE, **bare, key=KEY)
+        share = np.asarray(maps.stroma_depth.mean(0) / whole.stroma_depth.mean(0))
         place = np.linspace(0, 5.5 - pupil, 2 * SHAPE[1] + 1)[1::2]
-        return np.interp(mean[8:16].mean() / 2, mean[:8], place[:8])
+        return np.interp(0.5 * share[-1], share[:8], place[:8])
 
     widths = [seam(maps, r) for r, maps in eyes.items()]
     assert max(widths) < (4.5 / 2.1) ** 0.5 * min(widths)  # stretched by 4.5 over 2.1 mm
