@@ -98,13 +98,7 @@ def bilinear(
 ) -> _Reals:
     """Linear interpolation at fractional indices, held at the ends; rows may run round instead."""
     rows, columns = texture.shape[-2:]
-    if round_rows:
-        i = jnp.floor(row)
-        below = jnp.asarray(i, jnp.int32) % rows
-        cell = below, jnp.where(below + 1 == rows, 0, below + 1), row - i
-    else:
-        cell = _cell(row, rows)
-    cells = cell, _cell(column, columns)
+    cells = (_round_cell if round_rows else _cell)(row, rows), _cell(column, columns)
     values = [
         _interpolate(layer, (rows, columns), cells) for layer in texture.reshape(-1, rows * columns)
     ]
@@ -119,9 +113,22 @@ def polar_bilinear(
     """Linear interpolation between cell centres, round in `angle` (radians) and held at the ends of
     `radius` (0 pupil's edge, 1 root).
     """
-    rows, columns = texture.shape[-2:]
-    row = angle * (rows / (2 * jnp.pi)) - 0.5
-    return bilinear(texture, row, radius * columns - 0.5, round_rows=True)
+    place = _polar_indices(texture.shape[-2:], angle, radius)
+    return bilinear(texture, *place, round_rows=True)
+
+
+def polar_multilinear(
+    texture: Float[Array, "angles radii channels"], angle: _Reals, radius: _Reals
+) -> Float[Array, "... channels"]:
+    """Compute `polar_bilinear` of textures that lie side by side, four of them best.
+
+    In single precision it takes two thirds of the time of three textures one after the other.
+    """
+    rows, columns, channels = texture.shape
+    row, column = _polar_indices((rows, columns), angle, radius)
+    cells = _round_cell(row, rows), _cell(column, columns)
+    cells = [(below, above, weight[..., None]) for below, above, weight in cells]
+    return _interpolate(texture.reshape(-1, channels), (rows, columns), cells)
 
 
 def multilinear(
@@ -136,6 +143,12 @@ def multilinear(
     cells = [_cell(x, count) for x, count in zip(position, counts, strict=True)]
     cells = [(below, above, weight[..., None]) for below, above, weight in cells]
     return _interpolate(table.reshape(-1, channels), counts, cells)
+
+
+def _polar_indices(shape, angle, radius):
+    """Compute fractional indices in a texture, which are whole at the centres of its cells."""
+    rows, columns = shape
+    return angle * (rows / (2 * jnp.pi)) - 0.5, radius * columns - 0.5
 
 
 def _interpolate(flat, counts, cells, index=0):
@@ -155,3 +168,10 @@ def _cell(x, count: int):
     below = jnp.minimum(jnp.floor(x), count - 2)
     index = jnp.asarray(below, jnp.int32)
     return index, index + 1, x - below
+
+
+def _round_cell(x, count: int):
+    """Find the same of an index that runs round: the first follows the last."""
+    whole = jnp.floor(x)
+    index = jnp.asarray(whole, jnp.int32) % count
+    return index, jnp.where(index + 1 == count, 0, index + 1), x - whole
