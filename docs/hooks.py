@@ -15,9 +15,8 @@ PAGES = {"changelog.md": "CHANGELOG.md"}  # page of the site: file of the reposi
 
 def on_files(files, config):
     """Add the files that the site takes from outside docs/."""
-    results = ROOT / "experiments" / "results"
-    sheets = results / "eye_colours.png", results / "meeting_colours.png"
-    for picture in (*sorted((ROOT / "paper_figs").glob("*.png")), *sheets):
+    sheet = ROOT / "experiments" / "results" / "meeting_colours.png"
+    for picture in (*sorted((ROOT / "paper_figs").glob("*.png")), sheet):
         name = picture.relative_to(ROOT).as_posix()
         files.append(File.generated(config, name, abs_src_path=str(picture)))
     for name, source in PAGES.items():

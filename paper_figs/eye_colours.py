@@ -1,7 +1,8 @@
-"""Eye colours by ILIT and by radiative transfer, beside the classes of photographed irides at which
-they aim (simulated but for the latter).
+"""Eyes of invented colours by ILIT and by radiative transfer, and their colours beside the classes
+of photographed irides at which they aim (simulated but for the latter).
 """
 
+from experiments.common import RESULTS
 from irisjax.grow.presets import PHOTOGRAPHED_COLOURS
 from paper_figs.common import plt, read, save
 
@@ -16,7 +17,20 @@ COLOURS = {
 }
 MODELS = {"separable": ("o", "ILIT"), "radiative-transfer": ("s", "radiative transfer")}
 rows = read("eye_colours.csv")
-figure, panels = plt.subplots(1, 2, figsize=(9.4, 3.6), layout="constrained")
+figure = plt.figure(figsize=(9.4, 6.2), layout="constrained")
+above, below = figure.subfigures(2, 1, height_ratios=(2.6, 3.6))
+sheet = plt.imread(RESULTS / "eye_colours.png")
+axes = above.subplots()
+axes.imshow(sheet)
+side = sheet.shape[0] / len(MODELS)
+axes.set_xticks([(i + 0.5) * side for i in range(len(COLOURS))], list(COLOURS))
+axes.set_yticks(
+    [(i + 0.5) * side for i in range(len(MODELS))], [name for _, name in MODELS.values()]
+)
+axes.tick_params(length=0)
+axes.spines[:].set_visible(False)
+axes.grid(False)
+panels = below.subplots(1, 2)
 for axes, (x, y, xl, yl) in zip(panels, ((1, 2, "a*", "b*"), (2, 0, "b*", "L*")), strict=True):
     for colour, (mean, spread) in PHOTOGRAPHED_COLOURS.items():
         axes.errorbar(
@@ -39,6 +53,6 @@ marks = [
 ]
 marks.append(plt.Line2D([], [], color="k", marker="D", mfc="w", ls="", ms=4, label="class, ±1 SD"))
 marks += [plt.Line2D([], [], color=c, lw=3, label=name) for name, c in COLOURS.items()]
-figure.legend(handles=marks, fontsize=7, loc="outside right center")
+below.legend(handles=marks, fontsize=7, loc="outside right center")
 figure.suptitle("Procedural eye colours in pictures, by both models (simulated)", fontsize=10)
 save(figure, "eye_colours")

@@ -33,13 +33,13 @@ _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red an iris.
 _THICKNESS = {"hazel": 0.35, "amber": 0.45, "brown": 0.35}
 _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.0219, 0.00724, 0.0274, 0.219, 7.45), (0.0224, 0.00399, 0.0519, 0.157, 14.1)),
-    "grey": ((0.0749, 0.0322, 0.518, 0.153, 9.97), (0.0321, 0.0455, 0.563, 0.12, 17.7)),
-    "green": ((0.00729, 0.492, 0.98, 0.0144, 17.0), (0.026, 0.676, 0.975, 0.0303, 28.9)),
-    "hazel": ((0.514, 0.576, 0.645, 0.257, 37.0), (0.208, 0.733, 0.582, 0.193, 32.4)),
-    "amber": ((0.0578, 0.821, 0.577, 0.223, 39.9), (0.0227, 0.738, 0.833, 0.0929, 37.3)),
-    "brown": ((0.22, 1.1, 0.735, 0.374, 38.0), (0.22, 0.631, 0.74, 0.277, 35.1)),
-    "dark-brown": ((1.34, 0.315, 0.469, 0.0796, 29.2), (0.852, 0.301, 0.462, 0.109, 31.5)),
+    "blue": ((0.0286, 0.00936, 0.0201, 0.217, 7.77), (0.0815, 0.00837, 0.0674, 0.148, 15.0)),
+    "grey": ((0.0948, 0.032, 0.525, 0.14, 10.7), (0.103, 0.0306, 0.507, 0.0902, 27.5)),
+    "green": ((0.00741, 0.494, 0.98, 0.0145, 17.3), (0.0263, 0.682, 0.969, 0.0304, 29.4)),
+    "hazel": ((0.44, 0.586, 0.684, 0.264, 34.7), (0.181, 0.787, 0.57, 0.197, 32.5)),
+    "amber": ((0.0603, 0.797, 0.571, 0.239, 40.0), (0.0209, 0.738, 0.836, 0.0951, 38.1)),
+    "brown": ((0.203, 1.13, 0.733, 0.381, 38.3), (0.211, 0.605, 0.737, 0.289, 35.1)),
+    "dark-brown": ((1.31, 0.335, 0.471, 0.0801, 28.9), (0.839, 0.299, 0.461, 0.114, 31.5)),
 }
 _FEATURES: dict[str, dict[str, Any]] = {
     "blue": {"crypts": 9, "patches": 0.5, "furrows": 2, "clouds": 0.4, "collarette": 1.0},
@@ -69,12 +69,12 @@ def preset(
     them for each process so that a picture in the studio shows the visible iris, through the cornea
     and with the preset's maps, in the colour of photographed irides within one standard deviation
     (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Of all such
-    values it chooses the pigments nearest to usual ones and the weakest scattering: 7 to 40 times
-    LB06's by ILIT and 14 to 37 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
+    values it chooses the pigments nearest to usual ones and the weakest scattering: 8 to 40 times
+    LB06's by ILIT and 15 to 38 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
     other soft tissues have. Hazel, brown and amber also need a stroma of 0.35, 0.35 and 0.45 mm.
     Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
     Exp. Eye Res. 67, 293]. The redness of photographed irides requires more blood than LB06's 0.084
-    mmol/l, at most 0.374, a sixth of pure blood; its saturation is 0.95, as in the choroid, since a
+    mmol/l, at most 0.381, a sixth of pure blood; its saturation is 0.95, as in the choroid, since a
     saturation of 0.5 would require twice as much blood. Fibrils have LB06's radius, which has the
     same effect as the strength. Hazel and green eyes are browner near the pupil, where their maps
     add eumelanin.
