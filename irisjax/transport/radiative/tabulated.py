@@ -101,8 +101,8 @@ class RadiativeTabulated(AbstractSolver):
     def _scattered_fates(self, abl, depth, coalbedo, cosine) -> orders.ScatteredFates:
         """Fates after the first scattering, shape (wavelengths, beams); `cosine`: in the stroma."""
         place, angle = _coordinates(abl, depth, coalbedo), _of_cosine(cosine, self.indices)
-        (out,) = _read(self.out, place, angle)
-        absorbed, ipe, collisions = _read(self.ends, place, angle)
+        (out,) = _read(self.out, *place, angle)
+        absorbed, ipe, collisions = _read(self.ends, *place, angle)
         return orders.ScatteredFates(
             out=out * (jnp.exp(-abl) / (1 + abl))[:, None],
             abl=absorbed * -jnp.expm1(-abl)[:, None],
@@ -167,11 +167,35 @@ def _of_cosine(cosine, indices: RefractiveIndices):
     return 2 * (cosine - low) / (1 - low) - 1
 
 
-def _read(table: Tucker, place: _Coordinates, cosine):
-    """A table's functions, each of shape (wavelengths, beams)."""
+def _functions(table: Tucker, abl, depth, coalbedo, cosine):
+    """A table's functions at coordinates, each of shape (wavelengths, beams)."""
     core = jnp.einsum("abzmf,mk->fkbaz", table.core, table.basis(3, cosine))
     core = core.reshape(*core.shape[:3], -1)
     # The products of two short axes first: what is written out between is as short as the third.
-    products = table.basis(0, place.abl)[:, None] * table.basis(2, place.coalbedo)[None]
-    products, depths = products.reshape(-1, place.abl.size), table.basis(1, place.depth)
+    products = table.basis(0, abl)[:, None] * table.basis(2, coalbedo)[None]
+    products, depths = products.reshape(-1, abl.size), table.basis(1, depth)
     return [((function @ products) * depths[None]).sum(1).T for function in core]
+
+
+_read = eqx.filter_custom_jvp(_functions)
+
+
+@_read.def_jvp
+def _read_jvp(primals, tangents):
+    """Derivatives by one coordinate after the other, each from its own axis, serve all tangents."""
+    (table, *places), (of_table, *slopes) = primals, tangents
+    if jax.tree.leaves(of_table):
+        raise NotImplementedError("tables are constants; derivatives by them do not exist")
+    values = _functions(table, *places)
+    changes = [jnp.zeros_like(value) for value in values]
+    for axis, slope in enumerate(slopes):
+        if slope is None:
+            continue
+
+        def along(x, axis=axis):
+            return _functions(table, *places[:axis], x, *places[axis + 1 :])
+
+        _, derivatives = jax.jvp(along, (places[axis],), (jnp.ones_like(places[axis]),))
+        slope = slope[None] if axis == 3 else slope[:, None]
+        changes = [c + d * slope for c, d in zip(changes, derivatives, strict=True)]
+    return values, changes
