@@ -65,8 +65,8 @@ def _processor():
 def _compile_quickly(tier):
     """Programs of the default tier and of `peer` are compiled without LLVM's optimisation, their
     loops by XLA's older code, and in one piece instead of 32, of which each is made ready apart: a
-    program costs a third or less. The tier `slow` runs what users run, as do the commands and the
-    notebook that the two run as processes of their own.
+    program costs a third or less. The tier `slow` runs what users run, as do the commands that an
+    experiment times in processes of their own.
     """
     if "not slow" not in tier:
         return

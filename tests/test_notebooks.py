@@ -20,7 +20,6 @@ def test_notebook(path, monkeypatch):
     import nbclient
     import nbformat
 
-    monkeypatch.delenv("XLA_FLAGS", raising=False)  # as users run it
     monkeypatch.setenv("IRISJAX_QUICK", "1")
     monkeypatch.setenv("PYDEVD_DISABLE_FILE_VALIDATION", "1")
     monkeypatch.setenv("PYTHONPATH", f"{path.parent.parent}:{os.environ.get('PYTHONPATH', '')}")
