@@ -250,7 +250,7 @@ def colour_iris(
     parts = integrator.texels(seen, front._replace(iris=iris, maps=maps_of(logs)), ranges)
     drawn = picture.within_gamut(response.made.shade(seen, parts, shone))
     drawn = np.maximum(scatter_to_picture(seen, np.asarray(drawn).T, shape), 1e-9)
-    ratio = np.where(shown[..., None], target / gain / drawn, 1.0)
+    ratio = np.where(shown[..., None], target / gain / drawn, 1.0).astype(np.float32)
     residual = polar(np.log(np.clip(ratio, KEPT.low, KEPT.high)), shown)
     both = fill_by_texture(np.concatenate([logs, residual]), hidden)
     maps = maps_of(np.clip(both[: len(NAMES)], *ends), both[len(NAMES) :])
