@@ -1,5 +1,6 @@
 """The iris laid flat: refraction undone, holes filled, polar coordinates  [F09 Section 4.1]."""
 
+import functools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -75,6 +76,7 @@ class Unrefracted(NamedTuple):
         return sampled(ring, row, place * radii - 0.5)
 
 
+@functools.lru_cache(maxsize=2)
 def texels_of(size: int) -> tuple[Brightness, Brightness]:
     """Return radius (mm) and angle (radians) of the middles of the texels of a texture."""
     along = ((np.arange(size) + 0.5) * (2 * HALF_WIDTH / size) - HALF_WIDTH).astype(np.float32)
