@@ -1,4 +1,4 @@
-"""The command `irisjax`: settings in, files out. Thin; no equations here."""
+"""The command `irisjax`: settings in, files out. It contains no equations."""
 
 import importlib
 import importlib.util
@@ -30,8 +30,9 @@ _COMMANDS = {
     "clone": ("clone", "OpenImageIO", "skimage"),
     "paint": ("paint", "OpenImageIO", "tomlkit"),
 }
-"""Commands in the order of the help, the modules of this package that have them, and the modules of
-extras without which they cannot do their work."""
+"""Commands in the order of the help, each with its module of this package and with the modules of
+extras that it needs.
+"""
 _EXTRAS = {
     "images": ("OpenImageIO", "PIL", "tomlkit"),
     "photo": ("skimage",),
@@ -43,14 +44,14 @@ _EXTRAS = {
     "cluster": ("dask", "distributed"),
     "posteriors": ("flowjax", "optax", "paramax"),
 }
-"""Extras of the package and the modules that they bring; an extra may bring another's too."""
+"""Extras of the package and the modules that they install; several may install one."""
 
 
 def run(arguments: list[str] | None = None) -> int:
     """Run the command with these arguments (default: the process's own) and return its exit status.
 
-    0, or 2 for wrong input, 130 for Ctrl-C, 1 for a fault of our own; whatever goes wrong ends in
-    one line on standard error. With IRISJAX_DEBUG=1 exceptions pass.
+    The status is 0, or 2 for wrong input, 130 for Ctrl-C, 1 for a fault of the program; every error
+    ends in one line on standard error. With IRISJAX_DEBUG=1 exceptions are raised.
     """
     _interrupt.begin()
     try:
@@ -74,28 +75,28 @@ def run(arguments: list[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get("IRISJAX_DEBUG"):
             raise
-        said = _said(error)
+        message = _describe_error(error)
         fault = f"internal error: {type(error).__name__}: {error} (IRISJAX_DEBUG=1 shows where)"
-        print("irisjax:", " ".join((said or fault).split()), file=sys.stderr)
-        return 2 if said else 1
+        print("irisjax:", " ".join((message or fault).split()), file=sys.stderr)
+        return 2 if message else 1
 
 
-def _said(error: Exception) -> str:
+def _describe_error(error: Exception) -> str:
     """Return what is wrong with the input; an empty text means a fault of the program."""
-    # typer's own errors: their base class has moved between versions, the method has not.
+    # Typer's own errors have this method in all versions, but not one base class.
     if (format_message := getattr(error, "format_message", None)) is not None:
-        return _of_value(error) or format_message()
+        return _describe_value(error) or format_message()
     if isinstance(error, OSError) and error.strerror:
         return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
     if isinstance(error, ModuleNotFoundError):
-        return _of_extra(error)
+        return _describe_extra(error)
     if isinstance(error, MemoryError):
         return "not enough memory for so many wavelengths, directions or photons"
     return str(error) if isinstance(error, ValueError) else ""
 
 
-def _of_value(error: Exception) -> str:
-    """Return what is wrong with a value, after the option, or the file and key, that gave it."""
+def _describe_value(error: Exception) -> str:
+    """Describe an error in a value, after the name of its option, or its file and key."""
     parameter, context = getattr(error, "param", None), getattr(error, "ctx", None)
     message = getattr(error, "message", "")
     if parameter is None or context is None or not message:
@@ -106,8 +107,8 @@ def _of_value(error: Exception) -> str:
     return f"{parameter.opts[-1]}: {message}"
 
 
-def _of_extra(error: ModuleNotFoundError) -> str:
-    """Return how to install a package that an extra brings; empty for other modules."""
+def _describe_extra(error: ModuleNotFoundError) -> str:
+    """Return how to install a package of an extra; an empty text for other modules."""
     package = (error.name or "").split(".")[0]
     for extra, packages in _EXTRAS.items():
         if package in packages:
@@ -116,7 +117,7 @@ def _of_extra(error: ModuleNotFoundError) -> str:
 
 
 def parser(arguments: list[str]) -> Any:
-    """Make the parser of these arguments; it imports the modules of the asked command only."""
+    """Make the parser of these arguments, which imports only the modules of their command."""
     app = typer.Typer(
         add_completion=False,
         rich_markup_mode="rich",
@@ -132,14 +133,14 @@ def parser(arguments: list[str]) -> Any:
         # Commands of one module take each other's files by `--from`, so all of them are needed.
         if asked in (None, module):
             try:
-                found = importlib.import_module(f"irisjax.cli.{module}")
+                imported = importlib.import_module(f"irisjax.cli.{module}")
             except ModuleNotFoundError as error:
-                if asked is not None or not _of_extra(error):
+                if asked is not None or not _describe_extra(error):
                     raise
-                app.command(name, help=f"Not installed: {_of_extra(error)}")(lambda: None)
+                app.command(name, help=f"Not installed: {_describe_extra(error)}")(lambda: None)
                 continue
-            epilog = getattr(found, "EPILOG", None)
-            app.command(name, epilog=epilog)(getattr(found, f"{name.replace('-', '_')}_command"))
+            epilog = getattr(imported, "EPILOG", None)
+            app.command(name, epilog=epilog)(getattr(imported, f"{name.replace('-', '_')}_command"))
     return get_command(app)
 
 

@@ -14,10 +14,10 @@ from tqdm import tqdm
 from irisjax import io
 from irisjax._types import PRNGKey
 from irisjax.cli import options as opt
-from irisjax.cli.compiled import kept_tables
+from irisjax.cli.compiled import cached_tables
 from irisjax.cli.engine import Workers
 from irisjax.cli.files import check_folder
-from irisjax.cli.scenes import lamps, outline_of
+from irisjax.cli.scenes import parse_lamps, parse_outline
 from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
 from irisjax.io.clones import CLONE_FILES, OVERLAY, files_of, overlay_of
 from irisjax.io.eye_colours import COLOUR_FILES, colour_files
@@ -34,8 +34,8 @@ from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.separable import Separable
 from irisjax.render.single_scattering import TabulatedSingleScattering
 
-_NOT_SURE = 3
-_SMALL_PART = 0.3  # share of the photograph's pixels below which the part that is used is named
+_DOUBTFUL = 3
+_SMALL_PART = 0.3  # share of the photograph below which the part that is used is printed
 _FIGURES = "side_by_side.png", "differences.png", "luminance.png"
 _PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
 _INTEGRATORS = INTEGRATORS | {"single-scattering": TabulatedSingleScattering}
@@ -90,17 +90,17 @@ class ClonePicture(opt.Group, panel="Photograph"):
     )
 
     def given(self) -> cloning.Given:
-        """Return what is given, read from its files."""
-        around = None
+        """Read the inputs that replace results of the clone's own stages."""
+        environment = None
         if self.environment == "uniform":
-            around = Environment.uniform()
+            environment = Environment.uniform()
         elif self.environment is not None:
-            around = io.read_environment(self.environment)
+            environment = io.read_environment(self.environment)
         return cloning.Given(
-            limbus=outline_of("--limbus", self.limbus),
-            pupil=outline_of("--pupil", self.pupil),
-            lights=lamps(self.light) if self.light else None,
-            environment=around,
+            limbus=parse_outline("--limbus", self.limbus),
+            pupil=parse_outline("--pupil", self.pupil),
+            lights=parse_lamps(self.light) if self.light else None,
+            environment=environment,
             freckles=_mask(self.freckles),
             visible=_mask(self.visible),
             maps=None if self.maps is None else io.read_maps(self.maps),
@@ -165,11 +165,14 @@ class CloneResults(opt.Group, panel="Files"):
 
 
 class CloneRun(NamedTuple):
-    """The result of one photograph: the last stage, files by name, and what is doubtful.
+    """The result of one photograph.
 
     Attributes:
-        pictures: The clone's picture and the photograph's, if it came so far.
-        colours: The eye's colours, if they were asked for and the outlines are sure.
+        found: The last stage.
+        files: Contents of files by name.
+        doubts: Doubts about the result.
+        pictures: Comparison of the clone's picture with the photograph, if it was reached.
+        colours: The eye's colours, if they were requested and the outlines are not doubtful.
     """
 
     found: cloning.Outlined
@@ -194,33 +197,33 @@ def clone_command(
     wrong input.
     """
     if (picture.photograph is None) == (results.batch is None):
-        ways = "the PHOTO of an eye, or --batch with a folder of photographs"
-        raise ValueError(f"give {ways}{'' if results.batch is None else ', not both'}")
+        sources = "the PHOTO of an eye, or --batch with a folder of photographs"
+        raise ValueError(f"give {sources}{'' if results.batch is None else ', not both'}")
     workers.check(results.batch)
     if results.colour and "stop_after" in results.typed:
         raise ValueError("--colour does not go with --stop-after: it needs the outlines only")
-    wanted = _stages(results)
+    stages = _stages(results)
     if results.batch is not None:
         from irisjax.cli import clones
 
-        with beside() if "pigments" in wanted else nullcontext(here) as draw:
-            made = clones.clone_many(results.batch, picture, model, results, draw, workers)
-            raise typer.Exit(made)
+        with beside() if "pigments" in stages else nullcontext(here) as draw:
+            run = clones.clone_many(results.batch, picture, model, results, draw, workers)
+            raise typer.Exit(run)
     assert picture.photograph is not None
-    what = "an eye's colours" if results.colour else "a clone"
-    check_folder(results.output, results.summary, what, results.overwrite)
-    with beside() if "pigments" in wanted else nullcontext(here) as draw:
-        made = run_clone(picture.photograph, picture, model, results, results.output, draw)
-    for note in made.found.photograph.notes:
+    contents = "an eye's colours" if results.colour else "a clone"
+    check_folder(results.output, results.summary, contents, results.overwrite)
+    with beside() if "pigments" in stages else nullcontext(here) as draw:
+        run = run_clone(picture.photograph, picture, model, results, results.output, draw)
+    for note in run.found.photograph.notes:
         opt.notice(f"{picture.photograph}: {note}")
-    if made.pictures is not None:
-        off = map(per_cent, (made.pictures.rms, made.pictures.rms_of_pigments))
-        words = "difference of the pictures, RMS: {} % (R, G, B); by the pigments alone {} %"
-        print(words.format(*off))
-    for line in () if made.colours is None else colour_lines(made.colours):
+    if run.pictures is not None:
+        differences = map(per_cent, (run.pictures.rms, run.pictures.rms_of_pigments))
+        sentence = "difference of the pictures, RMS: {} % (R, G, B); by the pigments alone {} %"
+        print(sentence.format(*differences))
+    for line in () if run.colours is None else colour_lines(run.colours):
         print(line)
-    report(made.found, picture.cross_polarised, results.output, made.doubts)
-    raise typer.Exit(_NOT_SURE if made.doubts else 0)
+    report(run.found, picture.cross_polarised, results.output, run.doubts)
+    raise typer.Exit(_DOUBTFUL if run.doubts else 0)
 
 
 def run_clone(
@@ -232,34 +235,38 @@ def run_clone(
     draw: Callable[..., Later],
     quiet: bool = False,
 ) -> CloneRun:
-    """Clone a photograph, or measure its colours, by these options, and write the files into a
-    folder in place of those of an earlier run; `quiet` without a bar. `ValueError` where there is
-    no result; outlines that were found are then in the folder.
+    """Clone a photograph, or measure its colours, and write the files into a folder in place of
+    those of an earlier run; `quiet` hides the progress bar.
+
+    Raises:
+        ValueError: There is no result. The folder then has the outlines, if they were found.
     """
-    photograph, stated = read_photograph(path), picture.given()
-    given = {n: v for group in (picture, model) for n, v in vars(group).items() if n != "typed"}
-    given |= {"photograph": path}
-    words: dict[str, object] = {n: str(v) if isinstance(v, Path) else v for n, v in given.items()}
+    photograph, inputs = read_photograph(path), picture.given()
+    options = {n: v for group in (picture, model) for n, v in vars(group).items() if n != "typed"}
+    options |= {"photograph": path}
+    texts: dict[str, object] = {n: str(v) if isinstance(v, Path) else v for n, v in options.items()}
     key = jax.random.key(model.seed)
 
-    def shown(found: cloning.Outlined, error: ValueError) -> ValueError:
+    def with_overlay(found: cloning.Outlined, error: ValueError) -> ValueError:
         folder.mkdir(parents=True, exist_ok=True)
         io.write_together({folder / OVERLAY: overlay_of(found)})
         return ValueError(f"{error}; look at {folder / OVERLAY}")
 
     if results.colour:
-        made = _coloured(photograph, stated, words, shown, key)
-        known = {*COLOUR_FILES}
+        run = _measure_colours(photograph, inputs, texts, with_overlay, key)
+        all_files = {*COLOUR_FILES}
     else:
         settings = _settings(picture, model)
         with tqdm(total=len(_stages(results)), unit="stage", disable=quiet or None) as bar:
-            made = _cloned(photograph, settings, stated, words, results, draw, bar, shown, key)
-        known = {*CLONE_FILES, *_FIGURES, PHOTOGRAPH}
+            run = _run_stages(
+                photograph, settings, inputs, texts, results, draw, bar, with_overlay, key
+            )
+        all_files = {*CLONE_FILES, *_FIGURES, PHOTOGRAPH}
     folder.mkdir(parents=True, exist_ok=True)
-    io.write_together({folder / name: data for name, data in made.files.items()})
-    for name in known - set(made.files):  # of an earlier, longer run
+    io.write_together({folder / name: data for name, data in run.files.items()})
+    for name in all_files - set(run.files):  # of an earlier, longer run
         (folder / name).unlink(missing_ok=True)
-    return made
+    return run
 
 
 def _stages(results: CloneResults) -> tuple[str, ...]:
@@ -267,32 +274,34 @@ def _stages(results: CloneResults) -> tuple[str, ...]:
     return cloning.STAGES[: cloning.STAGES.index(last) + 1]
 
 
-def _coloured(photograph: Photograph, stated: cloning.Given, words, shown, key) -> CloneRun:
-    """The colours of an eye whose outlines are sure."""
-    found = cloning.outline_eye(photograph, stated)
+def _measure_colours(
+    photograph: Photograph, inputs: cloning.Given, texts, with_overlay, key
+) -> CloneRun:
+    """Measure the colours of an eye, unless its outlines are doubtful."""
+    found = cloning.outline_eye(photograph, inputs)
     doubts, measured = doubts_of(found), None
     if not doubtful_outlines(found):
         try:
             measured = colours_of(found, key=key)
         except ValueError as error:
-            raise shown(found, error) from None
-        doubts += tuple(Doubt("light", said) for said in measured[0].doubts)
-    files = colour_files(found, measured, words, doubts)
+            raise with_overlay(found, error) from None
+        doubts += tuple(Doubt("light", doubt) for doubt in measured[0].doubts)
+    files = colour_files(found, measured, texts, doubts)
     return CloneRun(found, files, doubts, colours=None if measured is None else measured[0])
 
 
-def _cloned(
+def _run_stages(
     photograph: Photograph,
     settings: cloning.CloneSettings,
-    stated: cloning.Given,
-    words: dict[str, object],
+    inputs: cloning.Given,
+    texts: dict[str, object],
     results: CloneResults,
     draw: Callable[..., Later],
     bar: Any,
-    shown: Callable[[cloning.Outlined, ValueError], ValueError],
+    with_overlay: Callable[[cloning.Outlined, ValueError], ValueError],
     key: PRNGKey,
 ) -> CloneRun:
-    """The stages of a clone, shown by the bar."""
+    """Run the stages of a clone, and count them on the bar."""
     timings: dict[str, float] = {}
 
     @contextmanager
@@ -303,42 +312,45 @@ def _cloned(
         timings[name] = time.perf_counter() - begin
         bar.update()
 
-    how = {"last": results.stop_after, "stage": stage, "tables": kept_tables}
-    run = cloning.clone_eye(photograph, settings, stated, **how, key=key)
-    found, both, drawn, failed = next(run), None, {}, ()
+    arguments = {"last": results.stop_after, "stage": stage, "tables": cached_tables}
+    stages = cloning.clone_eye(photograph, settings, inputs, **arguments, key=key)
+    found, comparison, figures, failures = next(stages), None, {}, ()
     try:
         # No stage follows a doubtful outline.
-        for known in () if doubtful_outlines(found) else run:
-            found = known
-            last = results.stop_after == "pigments" or isinstance(known, cloning.Coloured)
-            # Before the posterior, which takes longest.
-            if both is None and isinstance(known, cloning.Fitted) and last:
-                both, eye = cloning.compare_with_photograph(known), known.scene().eye
-                pictures = both.photograph, both.rendered
+        for stage_result in () if doubtful_outlines(found) else stages:
+            found = stage_result
+            last = results.stop_after == "pigments" or isinstance(stage_result, cloning.Coloured)
+            # Figures are drawn while the posterior, which takes longest, is sampled.
+            if comparison is None and isinstance(stage_result, cloning.Fitted) and last:
+                comparison, eye = (
+                    cloning.compare_with_photograph(stage_result),
+                    stage_result.scene().eye,
+                )
+                pictures = comparison.photograph, comparison.rendered
                 radius = float(0.5 * (eye.pupil_radius + eye.iris_radius))
-                along = *both.arc(known, radius), radius
-                drawn = {
+                along = *comparison.arc(stage_result, radius), radius
+                figures = {
                     "side_by_side.png": draw("side_by_side", *pictures),
-                    "differences.png": draw("differences", *pictures, both.clear),
+                    "differences.png": draw("differences", *pictures, comparison.clear),
                     "luminance.png": draw("luminance_profile", *along),
                 }
     except ValueError as error:
         if not isinstance(found, cloning.Shaped):
-            raise shown(found, error) from None
-        said = f"{_stages(results)[len(timings)]}: {error}; the stages before it are written"
-        failed = (Doubt("model", said),)
-    doubts = doubts_of(found, None if both is None else both.rms_of_pigments) + failed
-    files = files_of(found, words, timings, both, doubts)
-    if both is not None:
-        files |= {name: later() for name, later in drawn.items()}
-        files[PHOTOGRAPH] = encode_photograph(both.balanced)
-    return CloneRun(found, files, doubts, both)
+            raise with_overlay(found, error) from None
+        message = f"{_stages(results)[len(timings)]}: {error}; the stages before it are written"
+        failures = (Doubt("model", message),)
+    doubts = doubts_of(found, None if comparison is None else comparison.rms_of_pigments) + failures
+    files = files_of(found, texts, timings, comparison, doubts)
+    if comparison is not None:
+        files |= {name: figure() for name, figure in figures.items()}
+        files[PHOTOGRAPH] = encode_photograph(comparison.balanced)
+    return CloneRun(found, files, doubts, comparison)
 
 
 def report(
     found: cloning.Outlined, cross_polarised: bool, folder: Path, doubts: tuple[Doubt, ...]
 ) -> None:
-    """Print what was found, and on standard error what is doubtful."""
+    """Print the results, and doubts on standard error."""
     left, right, top, bottom = found.crop()
     rows, columns = found.photograph.shape
     if found.boundaries.eyes > 1 or (right - left) * (bottom - top) < _SMALL_PART * rows * columns:
@@ -352,11 +364,11 @@ def report(
         opt.notice(f"WARNING: {doubt.sentence}")
     if isinstance(found, cloning.Posed):
         pose = found.pose
-        where = "" if pose.distance is None else f", {pose.distance:.0f} mm away"
+        distance = "" if pose.distance is None else f", {pose.distance:.0f} mm away"
         low, high = np.degrees(pose.tilt_interval)
         print(
             f"camera: {np.degrees(pose.tilt):.1f} ({low:.1f} to {high:.1f}) degrees off the "
-            f"eye's axis{where}; pupil {2 * pose.pupil_radius:.2f} mm wide, lengths for "
+            f"eye's axis{distance}; pupil {2 * pose.pupil_radius:.2f} mm wide, lengths for "
             f"a limbus of {2 * float(pose.eye.limbus_radius):.1f} mm"
         )
         if pose.distance is None:
@@ -388,17 +400,19 @@ def colour_lines(colours: EyeColour) -> list[str]:
     """Return the colours of an eye as sentences."""
     lines = ["colours in L*a*b* (D65) with 95 % intervals, by the white that colour.png marks:"]
     for name, region in colours.regions.items():
-        where = f"{100 * region.share:.0f} % visible"
+        place = f"{100 * region.share:.0f} % visible"
         if name in RINGS:
             low, high = (f"{100 * border:.0f}" for border in RINGS[name])
-            where = f"{low} to {high} % of the way from pupil to limbus, {where}"
-        lines.append(f"{name} ({where}): {_lab_in_words(region)}")
+            place = f"{low} to {high} % of the way from pupil to limbus, {place}"
+        lines.append(f"{name} ({place}): {_lab_in_words(region)}")
     for region in colours.dominant:
         lines.append(f"{100 * region.share:.0f} % of what is visible: {_lab_in_words(region)}")
     if colours.difference is not None:
         spans = zip("Lab", *colours.difference, strict=True)
-        off = ", ".join(f"{c}* {x:+.0f} ({low:+.0f} to {high:+.0f})" for c, x, low, high in spans)
-        lines.append(f"the pupillary ring differs from the ciliary ring by {off}")
+        differences = ", ".join(
+            f"{c}* {x:+.0f} ({low:+.0f} to {high:+.0f})" for c, x, low, high in spans
+        )
+        lines.append(f"the pupillary ring differs from the ciliary ring by {differences}")
     return lines
 
 
@@ -408,7 +422,7 @@ def _lab_in_words(region: RegionColour) -> str:
 
 
 def pigments_withheld(found: cloning.Outlined, doubts: tuple[Doubt, ...]) -> bool:
-    """Return whether a clone has no pigments that mean something."""
+    """Return whether a clone has no pigments, or they are too doubtful to be printed."""
     return not isinstance(found, cloning.Sampled) or any(d.kind == "model" for d in doubts)
 
 
@@ -416,12 +430,12 @@ def _settings(picture: ClonePicture, model: CloneModel) -> cloning.CloneSettings
     azimuth, sigma = picture.tilt_azimuth, model.deconvolution
     if model.integrator is not None and "process" in model.typed:
         raise ValueError("--integrator names the process too; give no --process")
-    named: Any = _INTEGRATORS.get(model.integrator or "", _PROCESSES[model.process])
+    integrator: Any = _INTEGRATORS.get(model.integrator or "", _PROCESSES[model.process])
     return cloning.CloneSettings(
         focal_px=picture.focal_px,
         azimuth=None if azimuth is None else float(np.radians(azimuth)),
         sigma=None if isinstance(sigma, str) else sigma,
-        integrator=named(),
+        integrator=integrator(),
         steps=model.max_steps,
         **{n: getattr(model, n) for n in ("media", "iris_depth", "beta", "method")},
     )

@@ -17,7 +17,7 @@ from irisjax.cli.clone import (
     pigments_withheld,
     run_clone,
 )
-from irisjax.cli.engine import Lost, Workers, each, fault_of
+from irisjax.cli.engine import LostPiece, Workers, describe_fault, run_pieces
 from irisjax.cli.many import DOUBTFUL, FAILED, OK, EyeRow, EyeTable
 from irisjax.cli.options import dashed
 from irisjax.io.camera import RAW
@@ -30,9 +30,20 @@ from irisjax.photo.eye_colour import EyeColour, colours_of
 from irisjax.photo.pigments import CONCENTRATIONS
 from irisjax.plot.beside import Later, here
 
-_FIRST = ("file", "status", "doubts")
-_OF_ONE = "limbus", "pupil", "second", "maps", "freckles", "visible"  # options of one photograph
-_SHOWN = "side_by_side.png", COLOUR_FILES[1], OVERLAY  # pictures of a folder, the best first
+_FIRST_COLUMNS = ("file", "status", "doubts")
+_SINGLE_OPTIONS = (
+    "limbus",
+    "pupil",
+    "second",
+    "maps",
+    "freckles",
+    "visible",
+)  # options of one photograph
+_SHEET_PICTURES = (
+    "side_by_side.png",
+    COLOUR_FILES[1],
+    OVERLAY,
+)  # pictures of a folder, the best first
 
 
 def clone_many(
@@ -43,44 +54,50 @@ def clone_many(
     draw: Callable[..., Later],
     workers: Workers,
 ) -> int:
-    """Clone all photographs of a folder or pattern, or measure their colours, each into a folder of
-    its own, with `clones.csv` and a contact sheet; `workers` share the work. The exit status: 3
-    where one failed.
+    """Clone all photographs of a folder or pattern, or measure their colours, each into its own
+    folder, with `clones.csv` and a contact sheet; `workers` share the work. Return the exit status,
+    3 if one failed.
     """
-    if typed := [dashed(name) for name in _OF_ONE if name in picture.typed]:
+    if typed := [dashed(name) for name in _SINGLE_OPTIONS if name in picture.typed]:
         raise ValueError(f"--batch does not go with {', '.join(typed)}: they are of one photograph")
-    photographs = _photographs(source)
-    folders = {name: results.output / folder for name, folder in _folders(photographs).items()}
+    photographs = _find_photographs(source)
+    folders = {name: results.output / folder for name, folder in _folder_names(photographs).items()}
     target = results.output / "clones.csv"
-    table = EyeTable(tuple(photographs), _FIRST, "photograph", target)
+    table = EyeTable(tuple(photographs), _FIRST_COLUMNS, "photograph", target)
 
-    def done(row: EyeRow) -> bool:
+    def is_done(row: EyeRow) -> bool:
         folder = folders.get(row["file"])
         return folder is not None and (folder / results.summary).exists()
 
-    table.begin(results.resume, results.overwrite, done)
-    shared = None if workers.elsewhere else draw  # what draws beside this process stays with it
+    table.begin(results.resume, results.overwrite, is_done)
+    shared = (
+        None if workers.in_other_processes else draw
+    )  # what draws beside this process stays with it
     pieces = {
         name: (photographs[name], picture, model, results, folders[name], shared)
         for name in table.left()
     }
     with table.progress() as bar:
-        for name, found in each(_cloned, pieces, workers):
-            row = _first(name, FAILED, found.why) if isinstance(found, Lost) else found
+        for name, result in run_pieces(_clone_one, pieces, workers):
+            row = (
+                _first_cells(name, FAILED, result.reason)
+                if isinstance(result, LostPiece)
+                else result
+            )
             table.add({name: row})
             bar.set_description("photographs", refresh=False)
             bar.update()
     labels = {f"{name}: {table.rows[name]['status']}": folders[name] for name in photographs}
-    shown = {
-        words: next(filter(Path.exists, (folder / name for name in _SHOWN)), None)
-        for words, folder in labels.items()
+    pictures = {
+        label: next(filter(Path.exists, (folder / name for name in _SHEET_PICTURES)), None)
+        for label, folder in labels.items()
     }
-    io.write_together({results.output / CONTACT_SHEET: encode_contact_sheet(shown)})
+    io.write_together({results.output / CONTACT_SHEET: encode_contact_sheet(pictures)})
     print(f"written: {target}, {results.output / CONTACT_SHEET}")
     return table.conclude()
 
 
-def _cloned(
+def _clone_one(
     path: Path,
     picture: ClonePicture,
     model: CloneModel,
@@ -88,69 +105,71 @@ def _cloned(
     folder: Path,
     draw: Callable[..., Later] | None,
 ) -> EyeRow:
-    """Clone a photograph; its row."""
-    (folder / results.summary).unlink(missing_ok=True)  # it is not done
-    one = dataclasses.replace(picture, photograph=path)
+    """Clone a photograph and return its row."""
+    (folder / results.summary).unlink(missing_ok=True)  # marks a photograph that is done
+    options = dataclasses.replace(picture, photograph=path)
     try:
-        made = run_clone(path, one, model, results, folder, draw or here, True)
-        return _row(path.name, made, jax.random.key(model.seed))
+        run = run_clone(path, options, model, results, folder, draw or here, True)
+        return _row(path.name, run, jax.random.key(model.seed))
     except Exception as error:
-        # A fault of one photograph, even of the program, must not end a night's run. The row tells
-        # it; IRISJAX_DEBUG raises it.
+        # An error in one photograph, even a fault of the program, must not end a long run: it is
+        # written into the row. IRISJAX_DEBUG raises it.
         if os.environ.get("IRISJAX_DEBUG") and not isinstance(error, ValueError | OSError):
             raise
-        return _first(path.name, FAILED, fault_of(error))
+        return _first_cells(path.name, FAILED, describe_fault(error))
 
 
-def _photographs(source: Path) -> dict[str, Path]:
-    """Photographs by the names of their files."""
+def _find_photographs(source: Path) -> dict[str, Path]:
+    """Find photographs, by the names of their files."""
     suffixes = (*PHOTOGRAPHS, *HEIF, *RAW)
-    inside = source.iterdir() if source.is_dir() else source.parent.glob(source.name)
-    found = sorted(p for p in inside if p.suffix.lower() in suffixes and p.name != CONTACT_SHEET)
-    if not found:
-        why = f"names end in {', '.join((*PHOTOGRAPHS, *HEIF))}, or as of camera raw"
+    candidates = source.iterdir() if source.is_dir() else source.parent.glob(source.name)
+    paths = sorted(
+        p for p in candidates if p.suffix.lower() in suffixes and p.name != CONTACT_SHEET
+    )
+    if not paths:
+        reason = f"names end in {', '.join((*PHOTOGRAPHS, *HEIF))}, or as of camera raw"
         if not (source.exists() or "*" in source.name):
-            why = "there is no such folder"
-        raise ValueError(f"{source}: no photographs there: {why}")
-    return {path.name: path for path in found}
+            reason = "there is no such folder"
+        raise ValueError(f"{source}: no photographs there: {reason}")
+    return {path.name: path for path in paths}
 
 
-def _folders(names: Iterable[str]) -> dict[str, str]:
-    """A folder for each file, with its suffix where several files differ in nothing else."""
+def _folder_names(names: Iterable[str]) -> dict[str, str]:
+    """Name a folder for each file, with the file's suffix where several differ in nothing else."""
     stems = [Path(name).stem for name in names]
     return {n: s if stems.count(s) == 1 else n for n, s in zip(names, stems, strict=True)}
 
 
-def _first(*cells: str) -> EyeRow:
-    return dict(zip(_FIRST, cells, strict=True))
+def _first_cells(*cells: str) -> EyeRow:
+    return dict(zip(_FIRST_COLUMNS, cells, strict=True))
 
 
-def _row(name: str, made: CloneRun, key: jax.Array) -> EyeRow:
-    found, doubts = made.found, made.doubts
-    said = "; ".join(doubt.sentence for doubt in doubts)
+def _row(name: str, run: CloneRun, key: jax.Array) -> EyeRow:
+    stage, doubts = run.found, run.doubts
+    sentences = "; ".join(doubt.sentence for doubt in doubts)
     cells: dict[str, object] = {}
     for outline in ("limbus", "pupil"):
-        ellipse = getattr(found.boundaries, outline)
-        cells[f"{outline}_confidence"] = getattr(found.boundaries, f"{outline}_confidence")
+        ellipse = getattr(stage.boundaries, outline)
+        cells[f"{outline}_confidence"] = getattr(stage.boundaries, f"{outline}_confidence")
         numbers = *ellipse.centre, *ellipse.semi_axes, np.degrees(ellipse.angle)
         parts = (f"{outline}_{part}" for part in ("x", "y", "a", "b", "deg"))
         cells |= zip(parts, numbers, strict=True)
-    cells |= _colour_cells(_colours(made, key))
-    if isinstance(found, cloning.Sampled) and not pigments_withheld(found, doubts):
+    cells |= _colour_cells(_find_colours(run, key))
+    if isinstance(stage, cloning.Sampled) and not pigments_withheld(stage, doubts):
         for pigment in CONCENTRATIONS:
-            e = found.posterior.estimates[pigment]
+            e = stage.posterior.estimates[pigment]
             cells |= {pigment: e.median, f"{pigment}_low": e.low, f"{pigment}_high": e.high}
-    row = _first(name, DOUBTFUL if doubts else OK, said)
+    row = _first_cells(name, DOUBTFUL if doubts else OK, sentences)
     return row | {column: f"{value:.5g}" for column, value in cells.items()}
 
 
-def _colours(made: CloneRun, key: jax.Array) -> EyeColour | None:
-    """An eye's colours, of a clone too where they can be measured."""
-    if made.colours is not None or doubtful_outlines(made.found):
-        return made.colours
+def _find_colours(run: CloneRun, key: jax.Array) -> EyeColour | None:
+    """Return an eye's colours, or measure those of a clone; `None` if that is impossible."""
+    if run.colours is not None or doubtful_outlines(run.found):
+        return run.colours
     try:
-        return colours_of(made.found, key=key)[0]
-    except ValueError:  # no white is seen, for example
+        return colours_of(run.found, key=key)[0]
+    except ValueError:  # for example, the white of the eye is not visible
         return None
 
 

@@ -1,10 +1,11 @@
 """Results that commands keep on disk between runs: compiled programs and illumination tables.
 
 Tracing and lowering the program of a spectrum or of a picture takes longer than running it, and
-JAX's compilation cache saves only what comes after: without this module the second run of `fit`
-takes 1.9 times as long. `keep_compiled` has `equinox.filter_jit` make `Kept` functions of the
-package's, which read the compiler's result from a file; the library knows nothing of it. The files
-are pickles: whoever may write to their folder may run code as its user, as with JAX's cache.
+JAX's compilation cache saves only the later steps: without this module the second run of `fit`
+takes 1.9 times as long. `keep_compiled` replaces `equinox.filter_jit`, so that the package's
+functions become a `CachedFunction`, which reads the compiler's result from a file; the library does
+not depend on it. The files are pickles: whoever can write to their folder can run code as its user,
+as with JAX's cache.
 """
 
 import functools
@@ -38,9 +39,9 @@ if TYPE_CHECKING:
     from irisjax.render.scene import Scene
 
 MOST_TABLES = 8
-"""Illumination tables that are kept (up to 49 MB each); those not used for longest go first."""
-_MOST_VERSIONS = 4  # of the package, whose programs are kept side by side
-_MOST_THREADS = 4  # that read files
+"""Number of illumination tables that are kept (up to 49 MB each), those used last."""
+_MOST_VERSIONS = 4  # number of versions of the package whose programs are kept side by side
+_MOST_THREADS = 4  # number of threads that read files
 _PACKAGES = ("jax", "jaxlib", "equinox", "optimistix", "lineax", "numpy")
 _SETTINGS = (
     "jax_enable_x64",
@@ -53,74 +54,74 @@ _equinox: Any = eqx
 _filter_jit = _equinox.filter_jit
 
 
-def folder() -> Path | None:
-    """The cache's folder: JAX_COMPILATION_CACHE_DIR names another, or, when empty, none."""
+def cache_folder() -> Path | None:
+    """Return the cache's folder. JAX_COMPILATION_CACHE_DIR names another or, if empty, none."""
     if (given := os.environ.get("JAX_COMPILATION_CACHE_DIR")) is not None:
         return Path(given) if given else None
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "irisjax"
 
 
 def keep_compiled() -> None:
-    """Trace and compile once a machine: functions that a module of the package has by
-    `equinox.filter_jit` are kept in the cache's folder, if it is imported from now on. They must be
-    pure, and be called with arguments in their order.
+    """Keep the programs of functions by `equinox.filter_jit` in the cache's folder, for modules of
+    the package that are imported from now on. The functions must be pure, and be called with
+    arguments in their order.
     """
-    place = folder()
+    cache = cache_folder()
     # JAX reads both variables of the environment by itself.
     if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-        jax.config.update("jax_compilation_cache_dir", str(place))
+        jax.config.update("jax_compilation_cache_dir", str(cache))
     if "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS" not in os.environ:
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-    if place is not None:
-        _equinox.filter_jit = _keeping
+    if cache is not None:
+        _equinox.filter_jit = _jit_cached
 
 
-def _keeping(function: Any, **options: Any) -> Any:
-    """Jit a function by `equinox.filter_jit`; one of the package's modules becomes `Kept`."""
-    made, name = _filter_jit(function, **options), getattr(function, "__qualname__", "")
-    of_module = function.__module__.startswith("irisjax.") and name.isidentifier()
-    return Kept(made, f"{function.__module__}.{name}") if of_module else made
+def _jit_cached(function: Any, **options: Any) -> Any:
+    """Jit a function by `equinox.filter_jit`; a module's of the package is a `CachedFunction`."""
+    jitted, name = _filter_jit(function, **options), getattr(function, "__qualname__", "")
+    is_library = function.__module__.startswith("irisjax.") and name.isidentifier()
+    return CachedFunction(jitted, f"{function.__module__}.{name}") if is_library else jitted
 
 
-def kept_tables(scene: "Scene") -> "Illumination | None":
+def cached_tables(scene: "Scene") -> "Illumination | None":
     """Return `scene.tables()` from the cache, or compute and keep it; a broken file is replaced."""
     from irisjax.cli.options import notice
 
-    place = folder()
-    if place is None or scene.eye.cornea is None:
+    cache = cache_folder()
+    if cache is None or scene.eye.cornea is None:
         return scene.tables()
-    caustics, code = scene.grazing(), _version_of(place / "programs").name
-    path = place / "illumination" / tables_key(scene.eye, caustics, code)
+    caustics, code = scene.grazing(), _version_of(cache / "programs").name
+    path = cache / "illumination" / tables_key(scene.eye, caustics, code)
     try:
-        found = _read_tables(path)
-        with suppress(OSError):  # a folder may be for reading only
-            os.utime(path)  # when it was last of use
-        return found
+        tables = _read_tables(path)
+        with suppress(OSError):  # the folder may be read-only
+            os.utime(path)  # marks when it was last used
+        return tables
     except Exception as error:  # reading a pickle that is damaged may raise anything
         if path.exists():
-            said = (str(error).strip() or type(error).__name__).split("\n")[0]
-            notice(f"{path}: not usable ({said}); made again")
-    made = scene.tables(caustics)
-    data = pickle.dumps(made, protocol=5)
+            message = (str(error).strip() or type(error).__name__).split("\n")[0]
+            notice(f"{path}: not usable ({message}); made again")
+    computed = scene.tables(caustics)
+    data = pickle.dumps(computed, protocol=5)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, _digest(path, data) + data)
     except OSError as error:
         notice(f"{path}: the tables could not be kept ({error.strerror})")
     with suppress(OSError):  # another run may remove them too
-        for old in _beyond_newest(path.parent, MOST_TABLES):
+        for old in _all_but_newest(path.parent, MOST_TABLES):
             old.unlink()
-    return made
+    return computed
 
 
 def tables_key(eye: "Eye", caustics: bool, code: str) -> str:
-    """Name of an eye's tables: SHA-256 of all that they depend on, precision and code included."""
+    """Name an eye's tables by the SHA-256 of all that they depend on, precision and code too."""
     from irisjax.render.illumination import canonical_eye
 
     leaves, structure = jax.tree.flatten(canonical_eye(eye))
     values = [(str(x.dtype), x.shape, x.tobytes()) for x in map(np.asarray, leaves)]
-    about = code, caustics, str(jax.numpy.result_type(float)), str(structure), values
-    return hashlib.sha256(repr(about).encode()).hexdigest()
+    identity = code, caustics, str(jax.numpy.result_type(float)), str(structure), values
+    return hashlib.sha256(repr(identity).encode()).hexdigest()
 
 
 def _read_tables(path: Path) -> "Illumination":
@@ -134,13 +135,13 @@ def _digest(path: Path, data: bytes) -> bytes:
     return hashlib.sha256(path.name.encode() + data).digest()
 
 
-class Kept:
+class CachedFunction:
     """A function made by `equinox.filter_jit` whose programs are kept.
 
-    A program is read from its file for the same code (of this package and of those it is made
-    with), settings of JAX, shapes and types, and equal arguments that are no arrays. Where such an
-    argument cannot be pickled, an array is traced, or there are several devices, this is the
-    function itself.
+    A program is read from its file for the same code (of this package and of those it depends on),
+    settings of JAX, shapes and types, and equal arguments that are not arrays. Where such an
+    argument cannot be pickled, an array is traced, or there are several devices, the function
+    itself is called.
     """
 
     def __init__(self, function: Callable[..., Any], name: str):
@@ -156,38 +157,40 @@ class Kept:
             return self.__wrapped__(*args, **named)
         types = tuple((x.shape, x.dtype, getattr(x, "weak_type", False)) for x in arrays)
         constants = [_Array if _is_array(x) else x for x in leaves]
-        # 1 and 1.0 differ here.
-        here = structure, tuple((type(x), x) for x in constants), types, *_settings()
-        if here not in self._known:
+        # The types distinguish 1 from 1.0.
+        call_key = structure, tuple((type(x), x) for x in constants), types, *_settings()
+        if call_key not in self._known:
             with self._making:
-                if here not in self._known:
-                    self._known[here] = self._found(structure.unflatten(constants), types)
-        program = self._known[here]
+                if call_key not in self._known:
+                    self._known[call_key] = self._find_program(
+                        structure.unflatten(constants), types
+                    )
+        program = self._known[call_key]
         if program is None:
             return self.__wrapped__(*args, **named)
-        return _filled(program.result, program.compiled(*arrays))
+        return _fill(program.result, program.compiled(*arrays))
 
-    def _found(self, form: object, types: tuple[Any, ...]) -> "_Program | None":
+    def _find_program(self, form: object, types: tuple[Any, ...]) -> "_Program | None":
         debugging = any(getattr(jax.config, name, False) for name in _FOR_DEBUGGING)
-        place = _programs()
-        if debugging or jax.device_count() > 1 or place is None:
+        programs = _programs()
+        if debugging or jax.device_count() > 1 or programs is None:
             return None
-        seen = [(shape, str(dtype), weak) for shape, dtype, weak in types]
+        described = [(shape, str(dtype), weak) for shape, dtype, weak in types]
         try:
-            words = _canonical([self._name, form, seen, _settings(), _machine()])
+            identity = _canonical([self._name, form, described, _settings(), _machine()])
         except Exception:  # an object without a pickle may raise anything
             return None
-        path = place / hashlib.sha256(words).hexdigest()
+        path = programs / hashlib.sha256(identity).hexdigest()
         try:
             program = _files(path)
             return program._replace(result=pickle.loads(program.result))
         except Exception:  # not there, half a file, a compiler of another kind: compile again
-            program = _compiled(self.__wrapped__, form, types)
+            program = _compile(self.__wrapped__, form, types)
         with suppress(Exception):  # results without a pickle, a compiler that cannot serialize
             compiled, result, linear_algebra = program
             executable = serialize_executable.serialize(compiled)
-            about = pickle.dumps(result, protocol=5), linear_algebra
-            _write(path, pickle.dumps((*about, *executable), protocol=5))
+            metadata = pickle.dumps(result, protocol=5), linear_algebra
+            _write(path, pickle.dumps((*metadata, *executable), protocol=5))
         return program
 
 
@@ -203,18 +206,18 @@ class _Program(NamedTuple):
     linear_algebra: bool
 
 
-def _compiled(function: Callable[..., Any], form: object, types: tuple[Any, ...]) -> _Program:
+def _compile(function: Callable[..., Any], form: object, types: tuple[Any, ...]) -> _Program:
     plain = getattr(function, "__wrapped__", function)
     results = []
 
     def flat(*arrays):
-        args, named = _filled(form, arrays)
-        out = plain(*args, **named)
-        results.append(eqx.filter(out, _is_array, inverse=True, replace=_Array))
-        return jax.tree.leaves(eqx.filter(out, _is_array))
+        args, named = _fill(form, arrays)
+        result = plain(*args, **named)
+        results.append(eqx.filter(result, _is_array, inverse=True, replace=_Array))
+        return jax.tree.leaves(eqx.filter(result, _is_array))
 
-    # A unique name keeps the program out of JAX's cache: what comes from there cannot be
-    # serialised a second time (jaxlib 0.10).
+    # A unique name keeps the program out of JAX's cache: programs from there cannot be serialised
+    # a second time (jaxlib 0.10).
     flat.__name__ = f"kept_{secrets.token_hex(8)}"
     shapes = [jax.ShapeDtypeStruct(shape, dtype, weak_type=weak) for shape, dtype, weak in types]
     lowered = jax.jit(flat, compiler_options=_compiler_options()).lower(*shapes)
@@ -222,8 +225,8 @@ def _compiled(function: Callable[..., Any], form: object, types: tuple[Any, ...]
 
 
 def _read(path: Path) -> _Program:
-    """Read a program, with its result's form as a pickle: whatever that names would be imported
-    here, and a module that two threads import at once may fail in both.
+    """Read a program. The form of its result stays a pickle: loading it imports modules, and an
+    import by two threads at once may fail in both.
     """
     result, linear_algebra, *executable = pickle.loads(path.read_bytes())
     if linear_algebra:
@@ -233,13 +236,13 @@ def _read(path: Path) -> _Program:
 
 @functools.cache
 def _load_lapack() -> None:
-    """Have JAX load LAPACK, which it does where it lowers a function of it, but not for a file."""
+    """Have JAX load LAPACK, as it does when it lowers a call, but not for a program of a file."""
     jax.jit(jax.numpy.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), np.float32))
 
 
 def _compiler_options() -> dict[str, Any] | None:
-    """Options of XLA: its older way of joining loops takes half as long, and its programs run as
-    fast. Other releases of jaxlib stop at this flag.
+    """Return options of XLA: its older fusion of loops compiles in half the time, and its programs
+    run as fast. Other releases of jaxlib refuse this flag.
     """
     known = importlib.metadata.version("jaxlib").startswith("0.10.")
     on_cpu = known and jax.default_backend() == "cpu"
@@ -247,7 +250,9 @@ def _compiler_options() -> dict[str, Any] | None:
 
 
 def _canonical(value: object) -> bytes:
-    """A pickle that does not depend on which equal parts are one object, as a worker's are not."""
+    """Pickle a value independently of which of its equal parts are one object, since in a worker
+    they are not.
+    """
     out = io.BytesIO()
     pickler = pickle.Pickler(out, protocol=5)
     pickler.fast = True
@@ -259,9 +264,9 @@ def _is_array(x: object) -> bool:
     return isinstance(x, jax.Array | np.ndarray | np.generic)
 
 
-def _filled(form: Any, arrays: Iterable[Any]) -> Any:
-    left = iter(arrays)
-    return jax.tree.map(lambda x: next(left) if x is _Array else x, form)
+def _fill(form: Any, arrays: Iterable[Any]) -> Any:
+    remaining = iter(arrays)
+    return jax.tree.map(lambda x: next(remaining) if x is _Array else x, form)
 
 
 def _settings() -> tuple[object, ...]:
@@ -271,49 +276,49 @@ def _settings() -> tuple[object, ...]:
 
 @functools.cache
 def _machine() -> tuple[str, ...]:
-    """Describe the machine that programs are compiled for: several may share a home folder."""
+    """Describe the machine that programs are compiled for; several may share a home folder."""
     device = jax.devices()[0]
-    about = device.device_kind, device.client.platform_version, platform.machine()
+    description = device.device_kind, device.client.platform_version, platform.machine()
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
-        found = [line for line in lines if line.startswith(("flags", "Features"))][:1]
+        flags = [line for line in lines if line.startswith(("flags", "Features"))][:1]
     except OSError:
-        found = [platform.processor()]
-    return (*about, *found, os.environ.get("XLA_FLAGS", ""))
+        flags = [platform.processor()]
+    return (*description, *flags, os.environ.get("XLA_FLAGS", ""))
 
 
 def _programs() -> Path | None:
-    place = folder()
-    return None if place is None else _version_of(place / "programs")
+    cache = cache_folder()
+    return None if cache is None else _version_of(cache / "programs")
 
 
 @functools.lru_cache(maxsize=4)
-def _version_of(place: Path) -> Path:
-    """The folder of this version of the code; those of older versions are removed."""
+def _version_of(programs: Path) -> Path:
+    """Return the folder of this version of the code, and remove those of older versions."""
     package = Path(__file__).parents[1]
     files = sorted(p for p in package.rglob("*") if p.suffix != ".pyc" and p.is_file())
     sizes = [(str(p), (s := p.stat()).st_size, s.st_mtime_ns) for p in files]
-    about = sizes, sys.version, [importlib.metadata.version(name) for name in _PACKAGES]
-    mine = place / hashlib.sha256(repr(about).encode()).hexdigest()[:16]
-    if not mine.exists():
-        for old in _beyond_newest(place, _MOST_VERSIONS - 1):
+    identity = sizes, sys.version, [importlib.metadata.version(name) for name in _PACKAGES]
+    current = programs / hashlib.sha256(repr(identity).encode()).hexdigest()[:16]
+    if not current.exists():
+        for old in _all_but_newest(programs, _MOST_VERSIONS - 1):
             shutil.rmtree(old, ignore_errors=True)
-    return mine
+    return current
 
 
-def _beyond_newest(place: Path, count: int) -> list[Path]:
-    """All but the newest files and folders in a folder."""
-    return sorted(place.glob("*"), key=lambda p: -p.stat().st_mtime)[count:]
+def _all_but_newest(parent: Path, count: int) -> list[Path]:
+    """List all but the newest files and folders in a folder."""
+    return sorted(parent.glob("*"), key=lambda p: -p.stat().st_mtime)[count:]
 
 
 def _write(path: Path, data: bytes) -> None:
-    """Write whole or not at all; a full disk or a read-only folder costs only time."""
+    """Write a file atomically; a full disk or a read-only folder costs only time."""
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, data)
 
 
-class Ahead:
+class ReadAhead:
     """Reads files by a function of their paths, in advance on threads or on demand."""
 
     def __init__(self, read: Callable[[Path], Any]):
@@ -322,7 +327,7 @@ class Ahead:
         self._used: dict[Path, None] = {}
 
     def __call__(self, path: Path) -> Any:
-        """Return what the file holds; raises what reading it raises."""
+        """Return the contents of a file; errors of reading it are raised."""
         self._used[path] = None
         begun = self._begun.pop(path, None)
         # A file that no thread has begun need not wait for those before it.
@@ -332,28 +337,29 @@ class Ahead:
     def reading(self, command: str) -> Iterator[None]:
         """Read the files of the command's last run on threads while this context is entered.
 
-        Does nothing if a file was read before: a later run in one process has most in memory.
+        It does nothing if a file was read before: a later run in one process has most in memory.
         """
-        place = _programs()
-        if place is None or self._used:
+        programs = _programs()
+        if programs is None or self._used:
             yield
             return
-        notes, last = place / "used" / command, []
+        notes, paths = programs / "used" / command, []
         with suppress(OSError):
-            last = [place / name for name in notes.read_text("utf-8").split()]
+            paths = [programs / name for name in notes.read_text("utf-8").split()]
         threads = ThreadPoolExecutor(max(1, min(_MOST_THREADS, (os.cpu_count() or 1) - 1)))
         try:
-            self._begun |= {path: threads.submit(self._read, path) for path in last}
+            self._begun |= {path: threads.submit(self._read, path) for path in paths}
             yield
         finally:
             threads.shutdown(cancel_futures=True)
             self._begun.clear()
-        # A command that was broken off has not used all.
-        if self._used and set(self._used) != set(last):
+        # An interrupted command has not used all files.
+        if self._used and set(self._used) != set(paths):
             _write(notes, "\n".join(path.name for path in self._used).encode())
 
 
-_files = Ahead(_read)
+_files = ReadAhead(_read)
 reading_ahead: Callable[[str], AbstractContextManager[None]] = _files.reading
-"""While a command imports modules and reads its input, threads read the programs that it used last
-time: to read one takes XLA 50 ms, in which Python is free."""
+"""Context in which threads read the programs that a command used last time, while it imports
+modules and reads its input: XLA takes 50 ms for each, in which Python is free.
+"""

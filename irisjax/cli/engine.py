@@ -1,8 +1,8 @@
-"""Pieces of the work on a batch or on a cube: done one after the other in this process, or by
+"""Pieces of the work on a batch or a cube, run one after the other in this process, or by
 dask.distributed in worker processes of this machine or of a cluster.
 
-Results do not depend on where a piece is done, nor on how often: a piece whose worker or scheduler
-dies is done again.
+Results do not depend on where a piece runs, nor on how often: a piece whose worker or scheduler
+dies runs again.
 """
 
 import itertools
@@ -20,11 +20,11 @@ from irisjax.numerics.checks import Range
 
 _Key = TypeVar("_Key", bound=Hashable)
 
-_PIECES_AHEAD = 4  # for each core of the workers: none of these waits, and a scheduler has few
+_PIECES_AHEAD = 4  # submitted for each core of the workers, so that none waits for work
 _PATIENCE = 120  # seconds in which a lost scheduler may come back
-_CONNECTING = 10  # seconds in which one must answer at first
+_CONNECTING = 10  # seconds in which a scheduler must answer at first
 _OUR_WORKERS = {  # dask's own choice for each costs a chain a tenth to a fifth of its time
-    # Memory that a step of a chain returns is wanted by the next one: the C library keeps it.
+    # The C library keeps the memory that a step of a chain returns, for the next step.
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 2**30,
     "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 2**25,
     "distributed.worker.profile.enabled": False,
@@ -55,74 +55,75 @@ class Workers(opt.Group, panel="Workers"):
             raise ValueError(f"{name} means something only with --batch")
 
     @property
-    def elsewhere(self) -> bool:
-        """Whether the work is done in other processes."""
+    def in_other_processes(self) -> bool:
+        """Whether the work runs in other processes."""
         return self.workers is not None or self.scheduler is not None
 
 
-class Lost(NamedTuple):
+class LostPiece(NamedTuple):
     """A piece that has no result.
 
     Attributes:
-        why: What went wrong with it, in one line.
+        reason: What went wrong with it, in one line.
     """
 
-    why: str
+    reason: str
 
 
-def each(
+def run_pieces(
     function: Callable[..., Any], pieces: Mapping[_Key, tuple[Any, ...]], workers: Workers
 ) -> Iterator[tuple[_Key, Any]]:
-    """Yield names of pieces and what a module's `function` returns for their arguments, in the
-    order in which they are done. Arguments are looked up when a piece is begun.
+    """Yield names of pieces and the results of a module's `function` for their arguments, in the
+    order in which they are done. Arguments are looked up when a piece begins.
 
-    In other processes an exception of one piece is its result, as `Lost`; here it is raised.
+    In other processes the result of a piece that fails is a `LostPiece`; here its exception is
+    raised.
     """
-    if not workers.elsewhere:
+    if not workers.in_other_processes:
         for name in pieces:
             yield name, function(*pieces[name])
         return
-    with _scheduler_of(workers) as (address, shares):
+    with _start_scheduler(workers) as (address, shares):
         suspects: list[_Key] = []
-        for name, result in _done(address, shares, function, pieces, dict.fromkeys(pieces)):
-            if isinstance(result, Lost) and result.why == _KILLED:
+        for name, result in _run_all(address, shares, function, pieces, dict.fromkeys(pieces)):
+            if isinstance(result, LostPiece) and result.reason == _KILLED:
                 suspects.append(name)
             else:
                 yield name, result
-        # A scheduler blames a worker's death on all that waited for that worker: once more, alone.
+        # A scheduler blames a worker's death on all pieces that waited for it: run them alone.
         for name in suspects:
-            yield from _done(address, shares, function, pieces, {name: None})
+            yield from _run_all(address, shares, function, pieces, {name: None})
 
 
-def _done(
+def _run_all(
     address: str,
     shares: int | None,
     function: Callable[..., Any],
     pieces: Mapping[_Key, tuple[Any, ...]],
     left: dict[_Key, None],
 ) -> Iterator[tuple[_Key, Any]]:
-    """Do the pieces that are left, whatever happens to the scheduler."""
-    since = None
+    """Run the pieces that are left, connecting again if the scheduler is lost."""
+    lost_since = None
     while left:
-        done = len(left)
-        with _connected(address, _CONNECTING if since is None else _PATIENCE) as client:
-            client.register_plugin(import_module("irisjax.cli.worker").Ready(shares))
-            yield from _until_lost(client, function, pieces, left)
-        if left:  # the scheduler is gone, or has forgotten
-            lost = time.monotonic()
-            since = lost if since is None or len(left) < done else since
-            if lost - since > _PATIENCE:
+        before = len(left)
+        with _connect(address, _CONNECTING if lost_since is None else _PATIENCE) as client:
+            client.register_plugin(import_module("irisjax.cli.worker").WorkerSetup(shares))
+            yield from _take_pieces(client, function, pieces, left)
+        if left:  # the scheduler is gone, or has lost the pieces
+            now = time.monotonic()
+            lost_since = now if lost_since is None or len(left) < before else lost_since
+            if now - lost_since > _PATIENCE:
                 raise ValueError(f"{address}: the scheduler is lost; --resume continues")
             time.sleep(0.5)
 
 
-def _until_lost(
+def _take_pieces(
     client: Any,
     function: Callable[..., Any],
     pieces: Mapping[_Key, tuple[Any, ...]],
     left: dict[_Key, None],
 ) -> Iterator[tuple[_Key, Any]]:
-    """Take pieces from those that are left until none is, or the scheduler has lost them."""
+    """Yield results of the pieces that are left, until none is or the scheduler has lost them."""
     waiting = iter(list(left))
     names: dict[Any, _Key] = {}
     finished = import_module("distributed").as_completed(loop=client.loop)
@@ -141,22 +142,22 @@ def _until_lost(
             if future.status not in ("finished", "error"):
                 return
             error = future.exception() if future.status == "error" else None
-            result = future.result() if error is None else Lost(fault_of(error))
+            result = future.result() if error is None else LostPiece(describe_fault(error))
             del left[name]
             yield name, result
             submit()
     except (OSError, RuntimeError, TimeoutError, CancelledError):
         if client.status == "running":
-            raise  # no fault of the connection
+            raise  # it is not the connection that failed
 
 
 @contextmanager
-def _scheduler_of(workers: Workers) -> Iterator[tuple[str, int | None]]:
-    """A scheduler's address, and among how many workers this machine's cores are shared."""
+def _start_scheduler(workers: Workers) -> Iterator[tuple[str, int | None]]:
+    """Yield a scheduler's address, and among how many workers this machine's cores are shared."""
     if workers.scheduler is not None:
         yield workers.scheduler, None
         return
-    # After Ctrl-C Python would add lines of its own about what the workers' pipes leave behind.
+    # After Ctrl-C Python would print warnings about the workers' pipes.
     sys.warnoptions.append("ignore::UserWarning:multiprocessing.resource_tracker")
     dask, distributed = import_module("dask"), import_module("distributed")
     with (
@@ -174,17 +175,17 @@ def _scheduler_of(workers: Workers) -> Iterator[tuple[str, int | None]]:
 
 
 @contextmanager
-def _connected(address: str, patience: float) -> Iterator[Any]:
-    """A client of a scheduler that answers in time."""
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # we say what there is to say
-    begin, client, distributed = time.monotonic(), None, import_module("distributed")
+def _connect(address: str, patience: float) -> Iterator[Any]:
+    """Yield a client of a scheduler, which must answer in time."""
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # this module reports errors
+    start, client, distributed = time.monotonic(), None, import_module("distributed")
     while client is None:
         try:
             client = distributed.Client(address, timeout=_CONNECTING, set_as_default=False)
         except (OSError, ValueError) as error:
-            if isinstance(error, ValueError) or time.monotonic() - begin > patience:
-                why = "no dask scheduler answers there; write such as tcp://10.0.0.1:8786"
-                raise ValueError(f"--scheduler {address}: {why}") from None
+            if isinstance(error, ValueError) or time.monotonic() - start > patience:
+                advice = "no dask scheduler answers there; write such as tcp://10.0.0.1:8786"
+                raise ValueError(f"--scheduler {address}: {advice}") from None
             time.sleep(0.5)
     try:
         if not client.ncores():
@@ -194,11 +195,11 @@ def _connected(address: str, patience: float) -> Iterator[Any]:
         client.close(timeout=2)
 
 
-def fault_of(error: BaseException) -> str:
-    """Return what is wrong with an eye, in a line."""
-    words = " ".join(str(error).split())
+def describe_fault(error: BaseException) -> str:
+    """Describe an error in one line."""
+    message = " ".join(str(error).split())
     if isinstance(error, ValueError | OSError):
-        return words
+        return message
     if type(error).__name__ == "KilledWorker":  # dask's, which is not always installed
         return _KILLED
-    return f"internal error: {type(error).__name__}: {words}"
+    return f"internal error: {type(error).__name__}: {message}"

@@ -34,9 +34,9 @@ def export_command(subject: EyeWithPupil, handover: Handover) -> None:
     check_new_folder(output)
     scene = subject.scene_of(subject.read(), handover.integrator)
     made = export_scene(output, scene, spacing=handover.spacing, form=handover.format)
-    off = ", ".join(f"{100 * v:.2g} %" for v in np.asarray(made.error.rms))
+    errors = ", ".join(f"{100 * v:.2g} %" for v in np.asarray(made.error.rms))
     typer.echo(
-        f"{output}: {len(made.files)} files; a matt iris is off by {off} (R, G, B) within "
+        f"{output}: {len(made.files)} files; a matt iris is off by {errors} (R, G, B) within "
         f"{CONE:g}° of its normal"
     )
     if made.clipped:

@@ -1,4 +1,4 @@
-"""Files in and out: `--from` runs a file's header again; results are written together or not."""
+"""Files in and out: `--from` runs a file's header again; results are written all or none."""
 
 import dataclasses
 import errno
@@ -32,20 +32,20 @@ FOR_PEOPLE = (
     "directions",
     "truth",
 )
-"""Keys of a header that set nothing."""
+"""Keys of a header that are not options."""
 
 
 def check_folder(
-    folder: Path, file: str, what: str, allowed: bool, ways: str = "--overwrite starts again"
+    folder: Path, file: str, contents: str, allowed: bool, advice: str = "--overwrite starts again"
 ) -> None:
-    """Raise before the work if a folder cannot keep its results, or has a `file` already."""
+    """Raise before the work if a folder cannot be written, or already has a `file`."""
     check_is_folder(folder)
     if (folder / file).exists() and not allowed:
-        raise ValueError(f"{folder}: has {what}; {ways}")
+        raise ValueError(f"{folder}: has {contents}; {advice}")
 
 
 def check_is_folder(folder: Path) -> None:
-    """Raise `ValueError` where a folder or one above is a file, `OSError` where it is forbidden."""
+    """Raise `ValueError` if a folder or a parent is a file, `OSError` if it may not be written."""
     first = next(f for f in (folder, *folder.absolute().parents) if f.exists())
     if not first.is_dir():
         raise ValueError(f"{first}: is a file, not a folder")
@@ -53,7 +53,7 @@ def check_is_folder(folder: Path) -> None:
         raise PermissionError(errno.EACCES, "no permission to write in this folder", str(first))
 
 
-def png_of(path: Path, encoded: Any, remark: str) -> bytes:
+def encode_picture(path: Path, encoded: Any, remark: str) -> bytes:
     """Return the bytes of a PNG of encoded values; warns of values that are clipped."""
     data, clipped = encode_png(path, encoded, remark=remark)
     if clipped:
@@ -62,9 +62,8 @@ def png_of(path: Path, encoded: Any, remark: str) -> bytes:
 
 
 def _take_settings(context, param, source: Path | None) -> Path | None:
-    """Use a file's settings as defaults of the options that were not typed.
-
-    From a file of another command only iris, process and solver are taken.
+    """Use a file's settings as defaults of the options that were not typed; from a file of another
+    command only iris, process and solver.
     """
     if source is None:
         return None
@@ -73,15 +72,17 @@ def _take_settings(context, param, source: Path | None) -> Path | None:
     if not known & set(entries):
         raise ValueError(f"{source}: no header of settings (lines like '# eumelanin: 0.1201')")
     if wrong := [name for name in entries if name not in known and name not in FOR_PEOPLE]:
-        every = ", ".join(sorted(known))
-        raise ValueError(f"{source}: unknown setting {wrong[0]!r} in the header; known: {every}")
+        known_names = ", ".join(sorted(known))
+        raise ValueError(
+            f"{source}: unknown setting {wrong[0]!r} in the header; known: {known_names}"
+        )
     context.default_map = {n: v for n, v in entries.items() if n in _settings_of(command)}
     if entries.get("command", command.name) != command.name:
-        own = {p.name for p in command.params if _panel(p) == LightOptions.PANEL}
-        if left := [name for name in context.default_map if name in own]:
-            names = ", ".join(left)
+        light_options = {p.name for p in command.params if _panel(p) == LightOptions.PANEL}
+        if not_taken := [name for name in context.default_map if name in light_options]:
+            names = ", ".join(not_taken)
             opt.notice(f"note: {source} is of another command; not taken from it: {names}")
-        for name in left:
+        for name in not_taken:
             del context.default_map[name]
     return source
 
@@ -121,7 +122,7 @@ class SwatchFile(Source):
 
 
 def check_files(output: Path | None = None, picture: Path | None = None, *suffixes: str) -> None:
-    """Raise before the work if its results cannot be kept."""
+    """Raise before the work if its results cannot be written."""
     paths = [path for path in (output, picture) if path is not None]
     for path in paths:
         io.check_writable(path)
@@ -140,7 +141,7 @@ def write_table(
     columns: Mapping[str, Any],
     figure: Callable[[], Any] | None = None,
 ) -> None:
-    """Write CSV (without a file, to standard output) and figure, once both are made."""
+    """Write CSV, to standard output if there is no file, and the figure, once both are made."""
     output, picture = to.output, getattr(to, "plot", None)
     text = io.format_table(lines, {name: np.asarray(column) for name, column in columns.items()})
     files = {} if output is None else {output: text.encode()}
@@ -151,7 +152,7 @@ def write_table(
         sys.stdout.write(text)
 
 
-def head(
+def file_header(
     command: str,
     quantity: str,
     iris: ij.Iris,
@@ -160,7 +161,7 @@ def head(
     solver: AbstractSolver | None = None,
     left_out: str | None = None,
 ) -> dict[str, str]:
-    """Header of a file of simulated values, complete enough for `--from`.
+    """Make the header of a file of simulated values, complete enough for `--from`.
 
     Args:
         command: The command that writes it.
@@ -178,18 +179,18 @@ def head(
     }
     if solver is not None:
         lines["approximation"] = _approximation(process, left_out)
-    # float, not text made by numpy: that loses digits once colour-science has been imported.
+    # As float: NumPy's texts lose digits once colour-science has been imported.
     numbers = {
         name: float(getattr(iris if name in LIMITS else iris.power_law, name))
         for name in iris.parameters()
     }
     numbers |= {"melanin_load": float(iris.melanin_load), **dict.fromkeys((*BLOOD, *FRACTIONS))}
-    made = (
+    written = (
         dataclasses.replace(groups[0], **numbers, absorption=iris.absorption),
         dataclasses.replace(groups[1], **process.describe()),
         *groups[2:],
     )
-    for name, value in (pair for group in made for pair in group.settings().items()):
+    for name, value in (pair for group in written for pair in group.settings().items()):
         unit = RANGES[name].unit if name in RANGES else {"wavelengths": "nm"}.get(name)
         text = {True: "yes", False: "no"}[value] if isinstance(value, bool) else str(value)
         if name == "melanin_load":  # both melanins say it already
@@ -199,7 +200,7 @@ def head(
         elif name != "level" and not (name == "scattering" and iris.power_law is not None):
             lines[name] = f"{text}{f' [{unit}]' if unit else ''}"
     if solver is not None:
-        # The process has lines of its own.
+        # The process is written in its own lines.
         fields = {n: v for n, v in vars(solver).items() if n != "process" and v is not None}
         lines["transport"] = process.transport
         lines["solver settings"] = ", ".join(f"{n} = {v}" for n, v in fields.items())

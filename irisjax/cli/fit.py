@@ -55,32 +55,32 @@ def fit_command(
     if model.separate is not None and len(spectra) < 2:
         raise ValueError("--separate needs two or more spectra of one eye")
     if results.batch is not None:
-        raise typer.Exit(batch.many(results.batch, measured, model, sampler, results, workers))
-    seen = measured.seen
+        raise typer.Exit(batch.fit_many(results.batch, measured, model, sampler, results, workers))
+    spectrum_arguments = measured.spectrum_arguments
     observations, headers = [], []
     for path in spectra:
-        table = io.read_measured(path, **measured.reading)
-        for said in (*table.notes, *(f"WARNING: {doubt}" for doubt in table.doubts)):
-            notice(f"{path}: {said}")
+        table = io.read_measured(path, **measured.reading_options)
+        for remark in (*table.notes, *(f"WARNING: {doubt}" for doubt in table.doubts)):
+            notice(f"{path}: {remark}")
         if measured.bands is not None:
             with naming(f"{measured.bands}, bands for {path}"):
-                seen["bands"].matched(table.wavelengths)
-        observations.append(ij.spectrum(table, name=path.name, **seen))
+                spectrum_arguments["bands"].matched(table.wavelengths)
+        observations.append(ij.spectrum(table, name=path.name, **spectrum_arguments))
         headers.append(table.header)
-    options = {"noise": measured.noise, **model.stated(headers)}
+    options = {"noise": measured.noise, **model.problem_arguments(headers)}
     with report.progress_bar() as bar, nullcontext(here) if folder is None else beside() as draw:
         problem = ij.problem(observations, **options)
         if results.compare:
-            compare.models(problem, folder, sampler, bar, draw)
+            compare.report_comparison(problem, folder, sampler, bar, draw)
             raise typer.Exit(0)
         if folder is not None:
-            ways = "--resume continues them, --overwrite starts again"
-            check_folder(folder, "chain.h5", "results", results.resume or results.overwrite, ways)
+            advice = "--resume continues them, --overwrite starts again"
+            check_folder(folder, "chain.h5", "results", results.resume or results.overwrite, advice)
             check_run(problem, None, walkers=sampler.walkers, key=sampler.key)
             folder.mkdir(parents=True, exist_ok=True)
             if not results.resume:
                 (folder / "chain.h5").unlink(missing_ok=True)
         model.notice_process(problem)
         resume = results.resume
-        converged = report.one(problem, folder, sampler, bar, resume=resume, draw=draw)
+        converged = report.report_eye(problem, folder, sampler, bar, resume=resume, draw=draw)
     raise typer.Exit(0 if converged else _NOT_CONVERGED)

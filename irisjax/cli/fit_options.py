@@ -9,7 +9,7 @@ import jax
 import irisjax as ij
 from irisjax import io
 from irisjax.cli import options as opt
-from irisjax.cli.light import BandOptions, crossing
+from irisjax.cli.light import BandOptions, cornea_option
 from irisjax.infer.observation import RADIANCE, REFLECTANCE
 from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
 from irisjax.infer.priors import AbstractPrior, prior_of
@@ -20,10 +20,10 @@ from irisjax.transport.process import DEPTH_RESOLVED, PROCESSES, option_of
 
 Span = tuple[float, float]
 AMORTISED = "amortised"
-"""The entry of `--posteriors` for flows."""
+"""Value of `--posteriors` for flows."""
 
 
-def _described(name: str) -> str:
+def _describe_parameter(name: str) -> str:
     known, mark = PARAMETERS[name], "*" if name in DEFAULT_FREE else "·"
     unit = f" ({known.allowed.unit})" if known.allowed.unit else ""
     return f"{mark} {name}{unit}: {known.allowed.meaning}; {known.prior!r}"
@@ -35,7 +35,7 @@ EPILOG = "\n".join(
         "What is neither free nor fixed is as in LB06's moderate iris. To name reduced_scattering, "
         "rayleigh_share, scattering_power or anisotropy puts a power law of scattering in the "
         "place of LB06's formula; it takes --process depth-resolved.",
-        *map(_described, PARAMETERS),
+        *map(_describe_parameter, PARAMETERS),
         "Kinds of priors: normal(mean, sd), lognormal(median, sd of ln), logitnormal(median, sd of "
         "logit), uniform(low, high), loguniform(low, high).",
     ]
@@ -43,38 +43,38 @@ EPILOG = "\n".join(
 """The text below the options in the help."""
 
 
-def _span(text: str) -> Span:
+def _parse_span(text: str) -> Span:
     low, *high = map(opt.number_in(Range(1, 1e5)), text.split(":", 1))
     if not high or low >= high[0]:
         raise ValueError(f"{text!r}: write two wavelengths in nm, such as 400:700")
     return low, high[0]
 
 
-def _discrepancy(text: str) -> Span:
+def _parse_discrepancy(text: str) -> Span:
     size, colon, length = text.partition(":")
     if not colon:
         raise ValueError(f"{text!r}: write its size and its length in nm, such as 0.02:80")
     return opt.number_in(Range(1e-6, 10))(size), opt.number_in(Range(1e-3, 1e4, "nm"))(length)
 
 
-def _names(text: str) -> tuple[str, ...]:
+def _parse_names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def _stated(text: str) -> tuple[str, str]:
+def _parse_assignment(text: str) -> tuple[str, str]:
     name, equals, value = (part.strip() for part in text.partition("="))
     if not equals:
         raise ValueError(f"{text!r}: write NAME=VALUE")
     return opt.one_of(*PARAMETERS)(name), value
 
 
-def _fixed(text: str) -> tuple[str, float]:
-    name, value = _stated(text)
+def _parse_fixed(text: str) -> tuple[str, float]:
+    name, value = _parse_assignment(text)
     return name, opt.number_in()(value)  # `irisjax.problem` knows its range
 
 
-def _prior(text: str) -> tuple[str, AbstractPrior]:
-    name, value = _stated(text)
+def _parse_prior(text: str) -> tuple[str, AbstractPrior]:
+    name, value = _parse_assignment(text)
     return name, prior_of(value, *PARAMETERS[name].support)
 
 
@@ -96,7 +96,7 @@ class SpectralMeasurement(BandOptions):
     unit: str | None = opt.choice("of reflectances, where the file does not say", REFLECTANCE_UNITS)
     wavelength_unit: str | None = opt.choice("where the file does not say", WAVELENGTH_UNITS)
     wavelengths: Span | None = opt.option(
-        "leave out wavelengths outside this range, nm", parse=_span, metavar="LOW:HIGH"
+        "leave out wavelengths outside this range, nm", parse=_parse_span, metavar="LOW:HIGH"
     )
     cos_incidence: float | str = opt.option(
         "of the light's angle from the normal, 0 to 1; or diffuse",
@@ -104,11 +104,11 @@ class SpectralMeasurement(BandOptions):
         parse=opt.cosine,
         metavar="COSINE",
     )
-    cornea: str = crossing()
+    cornea: str = cornea_option()
     first_surface: bool = opt.flag("the iris's own mirror reflection is in the data", True)
 
     @property
-    def seen(self) -> dict[str, Any]:
+    def spectrum_arguments(self) -> dict[str, Any]:
         """Geometry and bands of the instrument, as arguments of `irisjax.spectrum`."""
         return {
             **{n: getattr(self, n) for n in ("cos_incidence", "first_surface", "aperture")},
@@ -126,7 +126,7 @@ class Measurements(SpectralMeasurement):
     outliers: bool = opt.flag("heavy-tailed noise: single wild values do no harm")
     discrepancy: Span | None = opt.option(
         "allow the model a smooth error: size and correlation length, such as 0.02:80",
-        parse=_discrepancy,
+        parse=_parse_discrepancy,
         metavar="SHARE:NM",
     )
     quantity: str | None = opt.choice(
@@ -162,11 +162,11 @@ class Measurements(SpectralMeasurement):
         return ij.Noise(*stated)
 
     @property
-    def seen(self) -> dict[str, Any]:
+    def spectrum_arguments(self) -> dict[str, Any]:
         """All arguments of `irisjax.spectrum` but the wavelengths and the values."""
         lamp = self.illuminant if "illuminant" in self.typed else None
         return {
-            **super().seen,
+            **super().spectrum_arguments,
             "quantity": RADIANCE if self.quantity == RADIANCE else REFLECTANCE,
             "illuminant": self.illuminant,
             "bands": self.read_bands(lamp),
@@ -176,7 +176,7 @@ class Measurements(SpectralMeasurement):
         }
 
     @property
-    def reading(self) -> ReadOptions:
+    def reading_options(self) -> ReadOptions:
         """Options of `irisjax.io.read_measured`."""
         names: Any = ReadOptions.__annotations__
         return ReadOptions(**{name: getattr(self, name) for name in names})
@@ -187,15 +187,15 @@ class PixelModel(opt.Group, panel="Model"):
 
     free: tuple[str, ...] | None = opt.option(
         "parameters to infer, separated by commas; default: those marked * below",
-        parse=_names,
+        parse=_parse_names,
         metavar="NAMES",
     )
     fix: list[tuple[str, float]] | None = opt.option(
-        "a parameter that is known; repeatable", parse=_fixed, metavar="NAME=VALUE"
+        "a parameter that is known; repeatable", parse=_parse_fixed, metavar="NAME=VALUE"
     )
     prior: list[tuple[str, AbstractPrior]] | None = opt.option(
         "such as 'hemoglobin=lognormal(0.1, 0.3)'; repeatable; kinds below",
-        parse=_prior,
+        parse=_parse_prior,
         metavar="NAME=PRIOR",
     )
     process: str | None = opt.option(
@@ -205,7 +205,7 @@ class PixelModel(opt.Group, panel="Model"):
         metavar="NAME",
     )
 
-    def stated(self, headers: Iterable[Mapping[str, str]]) -> dict[str, Any]:
+    def problem_arguments(self, headers: Iterable[Mapping[str, str]]) -> dict[str, Any]:
         """Return arguments of `irisjax.problem` on parameters, for files with these headers."""
         return {
             "free": self.free,
@@ -223,13 +223,13 @@ class PixelModel(opt.Group, panel="Model"):
 class Model(PixelModel):
     separate: tuple[str, ...] | None = opt.option(
         "parameters that each of several spectra has for itself, by commas: NAME@1, NAME@2, ...",
-        parse=_names,
+        parse=_parse_names,
         metavar="NAMES",
     )
 
-    def stated(self, headers: Iterable[Mapping[str, str]]) -> dict[str, Any]:
-        """Return also what differs between several spectra of one eye."""
-        return {**super().stated(headers), "separate": self.separate or ()}
+    def problem_arguments(self, headers: Iterable[Mapping[str, str]]) -> dict[str, Any]:
+        """Return these arguments and the parameters that differ between spectra of one eye."""
+        return {**super().problem_arguments(headers), "separate": self.separate or ()}
 
 
 def flows_folder() -> Any:

@@ -1,4 +1,4 @@
-"""Flows that are trained when they are first needed, and kept in a folder."""
+"""Trained flows, kept in a folder; they are trained when they are first needed."""
 
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from irisjax.io.tables import replacing
 
 
 def flow_for(problem: ij.Problem, folder: Path, seed: int, each: Any) -> Path:
-    """Return the file of a problem's flow, which is trained if there is none."""
+    """Return the file of a problem's flow, and train one if there is none."""
     check_is_folder(folder)
     path = folder / f"{flow_name(problem)}.flow"
     if path.exists():
@@ -20,6 +20,6 @@ def flow_for(problem: ij.Problem, folder: Path, seed: int, each: Any) -> Path:
     opt.notice(f"training a flow for these bands and this model, some minutes; kept in {folder}")
     flow = train_flow(problem, each=each, key=opt.key_of(seed))
     folder.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as made:
-        save_flow(made, flow)
+    with replacing(path) as temporary:
+        save_flow(temporary, flow)
     return path

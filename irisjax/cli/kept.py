@@ -1,4 +1,4 @@
-"""Results of a long job are kept on disk, so that a run which was stopped can be continued."""
+"""Results of a long job on disk, so that a stopped run can be continued."""
 
 import hashlib
 import io
@@ -13,12 +13,12 @@ from irisjax.io.tables import new_folder, write_atomically
 
 
 class KeptPieces(NamedTuple):
-    """Results of pieces of a job, a file of a folder each, until all are there.
+    """Results of the pieces of a job, in a file each, until all are done.
 
     Attributes:
-        folder: Their folder.
+        folder: Folder of the files.
         settings: All options on which the results depend.
-        sample: Some of the data, by which they are known again.
+        sample: Some of the data, by which a run on the same data is recognised.
     """
 
     folder: Path
@@ -27,8 +27,8 @@ class KeptPieces(NamedTuple):
 
     @property
     def _owner(self) -> str:
-        said = self.settings.encode() + self.sample.tobytes()
-        return hashlib.sha256(said).hexdigest()[:16]
+        identity = self.settings.encode() + self.sample.tobytes()
+        return hashlib.sha256(identity).hexdigest()[:16]
 
     def _file(self, number: int) -> Path:
         return self.folder / f"{self._owner}-{number:08d}.npz"
@@ -38,8 +38,8 @@ class KeptPieces(NamedTuple):
         if not resume:
             self.remove()
         elif any(not path.name.startswith(self._owner) for path in self.folder.glob("*.npz")):
-            said = "made from other data or settings; it cannot be resumed with these"
-            raise ValueError(f"{self.folder}: {said}")
+            message = "made from other data or settings; it cannot be resumed with these"
+            raise ValueError(f"{self.folder}: {message}")
 
     def add(self, number: int, arrays: Mapping[str, np.ndarray]) -> None:
         """Keep the arrays of a piece."""
@@ -49,11 +49,11 @@ class KeptPieces(NamedTuple):
             write_atomically(self._file(number), data.getvalue())
 
     def done(self) -> list[int]:
-        """Return the numbers of the pieces that are there, in their order."""
+        """Return the numbers of the pieces that are done, in their order."""
         return sorted(int(path.stem.split("-")[1]) for path in self.folder.glob("*.npz"))
 
     def read(self, number: int) -> dict[str, np.ndarray]:
-        """Return what was added."""
+        """Return the arrays of a piece."""
         with np.load(self._file(number)) as file:
             return dict(file)
 

@@ -18,24 +18,24 @@ from irisjax.numerics.checks import Range
 from irisjax.tissue.pigments import check_covered, common_range
 
 PHOTOMETERS = ("reflectance", "radiance", "transmittance")
-"""Instruments that see intensity."""
+"""Instruments that measure intensity."""
 
 POLARIMETERS = ("cross-polarised", "co-polarised", "degree-of-polarisation")
-"""Instruments that see polarisation."""
+"""Instruments that measure polarisation."""
 
 
-def _index(default: float, of: str) -> Any:
+def _index_option(default: float, of: str) -> Any:
     return opt.number(f"refractive index of the {of}, {{}}", media.INDEX, default)
 
 
-def crossing() -> Any:
-    """Make the option of the light's way through the cornea."""
+def cornea_option() -> Any:
+    """Make the option of whether light crosses the cornea."""
     words = "whether light crosses tear film and cornea; auto is inward for radiance, else none"
     return opt.choice(words, ("auto", *get_args(Crossing)), "auto")
 
 
 class BandOptions(opt.Group, panel="Measurement"):
-    """Slit, filters or a camera's channels, and what collects the light."""
+    """Slit, filters or a camera's channels, and the aperture that collects the light."""
 
     bandwidth: float | None = opt.number(
         "full width at half maximum of the instrument's slit, a Gaussian; {}",
@@ -63,20 +63,20 @@ class BandOptions(opt.Group, panel="Measurement"):
         return self.bandwidth if self.bands is None else io.read_passbands(self.bands, illuminant)
 
 
-def _wavelengths(default: str, names: str = "") -> Any:
+def _wavelengths_option(default: str, names: str = "") -> Any:
     low, high = common_range()
     words = f"start:stop:step or a list like 450,550; within {low:g} to {high:g}"
-    return opt.option(words, opt.Grid(default), names=names, parse=_covered, metavar="nm")
+    return opt.option(words, opt.Grid(default), names=names, parse=_covered_grid, metavar="nm")
 
 
-def _covered(text: str) -> opt.Grid:
-    found = opt.Grid(text)
-    check_covered(found.values)
-    return found
+def _covered_grid(text: str) -> opt.Grid:
+    grid = opt.Grid(text)
+    check_covered(grid.values)
+    return grid
 
 
 class LightOptions(opt.Group, panel="Measurement"):
-    wavelengths: opt.Grid = _wavelengths("400:700:10")
+    wavelengths: opt.Grid = _wavelengths_option("400:700:10")
     cos_incidence: float | str = opt.option(
         "cosine of incidence, 0 to 1, or diffuse",
         1.0,
@@ -87,7 +87,7 @@ class LightOptions(opt.Group, panel="Measurement"):
     incidence_deg: float | None = opt.number(
         "the same as an angle, {}", Range(0, 90, "degrees"), overrules=("cos_incidence",)
     )
-    aqueous_index: float = _index(media.AQUEOUS, "aqueous humour")
+    aqueous_index: float = _index_option(media.AQUEOUS, "aqueous humour")
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -96,12 +96,12 @@ class LightOptions(opt.Group, panel="Measurement"):
 
     @property
     def cosine(self) -> float | str:
-        """Cosine of incidence, or the word for light from everywhere."""
+        """Cosine of incidence, or the word for diffuse light."""
         degrees = self.incidence_deg
         return self.cos_incidence if degrees is None else math.cos(math.radians(degrees))
 
-    def before_the_iris(self) -> dict[str, Any]:
-        """Return arguments of every instrument: light and media."""
+    def instrument_arguments(self) -> dict[str, Any]:
+        """Return the arguments that every instrument takes: light and media."""
         names = (name for name in ("aqueous", "cornea", "tear") if hasattr(self, f"{name}_index"))
         indices = {name: getattr(self, f"{name}_index") for name in names}
         return {"cos_incidence": self.cosine, "media": media.Media(**indices)}
@@ -111,21 +111,21 @@ class LightOptions(opt.Group, panel="Measurement"):
         raise NotImplementedError
 
     def settings(self) -> dict[str, Any]:
-        """The angle is written as its cosine."""
-        found = {**super().settings(), "cos_incidence": self.cosine}
-        return {n: v for n, v in found.items() if n != "incidence_deg"}
+        """Return the options to write, with the angle as its cosine."""
+        options = {**super().settings(), "cos_incidence": self.cosine}
+        return {n: v for n, v in options.items() if n != "incidence_deg"}
 
 
 class EyeLight(LightOptions):
-    cornea: str = crossing()
-    cornea_index: float = _index(media.CORNEA, "cornea")
-    tear_index: float = _index(media.TEAR, "tear film")
+    cornea: str = cornea_option()
+    cornea_index: float = _index_option(media.CORNEA, "cornea")
+    tear_index: float = _index_option(media.TEAR, "tear film")
     first_surface: bool = opt.flag("include light reflected by the iris's own surface", True)
 
-    def before_the_iris(self) -> dict[str, Any]:
-        """Return arguments of every instrument; `auto` leaves the cornea to it."""
+    def instrument_arguments(self) -> dict[str, Any]:
+        """Return the arguments that every instrument takes; `auto` leaves the cornea out."""
         cornea = {} if self.cornea == "auto" else {"cornea": self.cornea}
-        return {**super().before_the_iris(), "first_surface": self.first_surface, **cornea}
+        return {**super().instrument_arguments(), "first_surface": self.first_surface, **cornea}
 
 
 class BandedLight(BandOptions, EyeLight):
@@ -136,21 +136,21 @@ class BandedLight(BandOptions, EyeLight):
         if self.bands is not None and "wavelengths" in self.typed:
             raise ValueError("--bands has its own wavelengths: give it without --wavelengths")
 
-    def before_the_iris(self) -> dict[str, Any]:
-        """Return arguments of every instrument, including the bands."""
-        found = super().before_the_iris()
+    def instrument_arguments(self) -> dict[str, Any]:
+        """Return the arguments that every instrument takes, including the bands."""
+        arguments = super().instrument_arguments()
         if self.aperture is not None:
-            found["aperture"] = self.aperture
+            arguments["aperture"] = self.aperture
         bands = self.read_bands()
-        return found if bands is None else {**found, "bands": bands}
+        return arguments if bands is None else {**arguments, "bands": bands}
 
     def settings(self) -> dict[str, Any]:
-        """Return the options to write: those given, without wavelengths where bands have theirs."""
-        gone = () if self.bands is None else ("wavelengths",)
-        return {n: v for n, v in super().settings().items() if v is not None and n not in gone}
+        """Return the options to write, without wavelengths if bands are given."""
+        omitted = () if self.bands is None else ("wavelengths",)
+        return {n: v for n, v in super().settings().items() if v is not None and n not in omitted}
 
 
-def centred(light: Any) -> Any:
+def with_band_centres(light: Any) -> Any:
     """Return a group of options with the wavelengths of its bands, if it has any."""
     if light.bands is None:
         return light
@@ -201,40 +201,40 @@ class SpectrumLight(BandedLight):
 
     def __post_init__(self) -> None:
         if self.quantity is not None:  # by the name that it has in `irisjax fit`
-            asked = opt.one_of(*PHOTOMETERS, *POLARIMETERS)(self.quantity)
-            if "instrument" in self.typed and self.instrument != asked:
-                said = f"--instrument {self.instrument} and --quantity {asked}"
-                raise ValueError(f"{said} are one option by two names: give one of them")
-            object.__setattr__(self, "instrument", asked)
+            instrument = opt.one_of(*PHOTOMETERS, *POLARIMETERS)(self.quantity)
+            if "instrument" in self.typed and self.instrument != instrument:
+                names = f"--instrument {self.instrument} and --quantity {instrument}"
+                raise ValueError(f"{names} are one option by two names: give one of them")
+            object.__setattr__(self, "instrument", instrument)
             object.__setattr__(self, "quantity", None)
         super().__post_init__()
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
-        how = self.before_the_iris()
+        arguments = self.instrument_arguments()
         if self.instrument == "radiance":
-            return ij.Radiometer(grid, illuminant=self.illuminant, **how)
+            return ij.Radiometer(grid, illuminant=self.illuminant, **arguments)
         if self.instrument == "reflectance":
-            return ij.Spectrophotometer(grid, **how)
+            return ij.Spectrophotometer(grid, **arguments)
         if self.instrument == "transmittance":
-            return ij.Transmissometer(grid, **how)
+            return ij.Transmissometer(grid, **arguments)
         degrees, angle = self._exit_and_polariser()
-        how |= {
+        arguments |= {
             "cos_exit": degrees if isinstance(degrees, str) else math.cos(math.radians(degrees)),
             "azimuth": math.radians(self.exit_azimuth_deg),
             "polariser": None if angle is None else math.radians(angle),
         }
         if self.instrument == "degree-of-polarisation":
-            return ij.Polarimeter(grid, **how)
+            return ij.Polarimeter(grid, **arguments)
         crossed = self.instrument == "cross-polarised"
-        return ij.Analyser(grid, "crossed" if crossed else "parallel", **how)
+        return ij.Analyser(grid, "crossed" if crossed else "parallel", **arguments)
 
     def settings(self) -> dict[str, Any]:
-        """A polarimeter's defaults are written too."""
-        found = super().settings()
+        """Return the options to write, with a polarimeter's defaults."""
+        options = super().settings()
         if self.instrument in POLARIMETERS:
-            found["exit_deg"], angle = self._exit_and_polariser()
-            found |= {} if angle is None else {"polariser_deg": angle}
-        return found
+            options["exit_deg"], angle = self._exit_and_polariser()
+            options |= {} if angle is None else {"polariser_deg": angle}
+        return options
 
     def _exit_and_polariser(self) -> tuple[float | str, float | None]:
         degrees, angle = self.exit_deg, self.polariser_deg
@@ -244,7 +244,7 @@ class SpectrumLight(BandedLight):
 
 
 class BrdfLight(LightOptions):
-    wavelengths: opt.Grid = _wavelengths("550", "--wavelength --wavelengths")
+    wavelengths: opt.Grid = _wavelengths_option("550", "--wavelength --wavelengths")
     plane: str = opt.choice("exit directions", ("principal", "hemisphere"), "principal")
     angles: int = opt.whole("exit directions over 180 degrees, {}", Range(2, 3600), 90)
 
@@ -260,12 +260,12 @@ class BrdfLight(LightOptions):
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
         angle, azimuth = self.exits()
-        how = self.before_the_iris()
-        return ij.Goniophotometer(grid, cos_exit=np.cos(angle), azimuth=azimuth, **how)
+        arguments = self.instrument_arguments()
+        return ij.Goniophotometer(grid, cos_exit=np.cos(angle), azimuth=azimuth, **arguments)
 
 
 class ColourLight(EyeLight):
-    wavelengths: opt.Grid = _wavelengths("380:780:5")
+    wavelengths: opt.Grid = _wavelengths_option("380:780:5")
     illuminant: str = opt.option(
         "light source by its name in colour-science", "D65", metavar="name"
     )
@@ -274,8 +274,8 @@ class ColourLight(EyeLight):
     )
 
     def instrument_at(self, grid: np.ndarray) -> AbstractInstrument:
-        how = self.before_the_iris()
-        return ij.Colorimeter(grid, illuminant=self.illuminant, observer=self.observer, **how)
+        arguments = self.instrument_arguments()
+        return ij.Colorimeter(grid, illuminant=self.illuminant, observer=self.observer, **arguments)
 
 
 class NoisyLight(BandedLight):

@@ -1,4 +1,4 @@
-"""`irisjax map`: a hyperspectral cube in, maps of the iris's pigments with their deviations out."""
+"""`irisjax map`: a hyperspectral cube in, maps of pigments and their standard deviations out."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -13,14 +13,14 @@ from tqdm import tqdm
 import irisjax as ij
 from irisjax import io
 from irisjax.cli import options as opt
-from irisjax.cli.engine import Lost, Workers, each
+from irisjax.cli.engine import LostPiece, Workers, run_pieces
 from irisjax.cli.files import check_folder
 from irisjax.cli.fit_options import EPILOG as EPILOG
 from irisjax.cli.fit_options import PixelModel, SpectralMeasurement, flows_folder
 from irisjax.cli.flows import flow_for
 from irisjax.cli.kept import KeptPieces
 from irisjax.cli.report import print_table
-from irisjax.cli.scenes import outline_of
+from irisjax.cli.scenes import parse_outline
 from irisjax.infer import pixels as fitting
 from irisjax.infer.amortised import read_flow, weighted_draws, with_chains
 from irisjax.infer.parameters import unit_of
@@ -39,12 +39,12 @@ from irisjax.plot import flags_figure, maps_figure, picture
 from irisjax.tissue.maps import cell_centres
 from irisjax.transport.process import Ilit, option_of
 
-_PARTS = "maps.part"  # a folder
+_PARTS_FOLDER = "maps.part"  # a folder
 _CHUNK = 1 << 14  # pixels that are read and fitted at a time
-_SAMPLE = 1024  # pixels of the coarse level, in which all others find their starts
-_SHOWN = 1024  # rows and columns of a picture, at most
-_RADIUS = 512  # of the limbus in the maps for the renderers, texels at most
-_MANY = 0.1  # share of misfits that is doubted
+_SAMPLE = 1024  # pixels that are fitted first, from whose results all others start
+_PICTURE_SIDE = 1024  # rows and columns of a picture, at most
+_RADIUS = 512  # largest radius of the limbus, in texels, of the maps for the renderers
+_MANY_MISFITS = 0.1  # share of misfits above which a warning is printed
 _UNFITTED = PixelFlag.MASKED | PixelFlag.NOT_A_NUMBER | PixelFlag.SATURATED
 FLAGS = {
     PixelFlag.MASKED: "masked",
@@ -59,11 +59,11 @@ FLAGS = {
 """Flags of pixels in words."""
 
 
-def _share(text: str) -> tuple[float, float]:
-    found = opt.numbers(text.replace(":", ","))
-    if len(found) != 2 or not 0 <= found[0] < found[1]:
+def _parse_range(text: str) -> tuple[float, float]:
+    limits = opt.numbers(text.replace(":", ","))
+    if len(limits) != 2 or not 0 <= limits[0] < limits[1]:
         raise ValueError(f"{text!r}: write two reflectances, such as 0.005:0.4")
-    return found[0], found[1]
+    return limits[0], limits[1]
 
 
 class CubeMeasurement(SpectralMeasurement):
@@ -91,7 +91,7 @@ class PixelChoice(opt.Group, panel="Pixels"):
     )
     brightness: tuple[float, float] | None = opt.option(
         "use pixels whose mean reflectance over the bands is in this range",
-        parse=_share,
+        parse=_parse_range,
         metavar="LOW:HIGH",
     )
     limbus: str | None = opt.option(
@@ -153,87 +153,87 @@ def map_command(
     """
     folder, outlines = files.output, _outlines(pixels)
     check_folder(folder, "maps.nc", "maps", files.overwrite)
-    ways = "--resume continues them, --overwrite starts again"
-    check_folder(folder, _PARTS, "unfinished maps", files.resume or files.overwrite, ways)
-    source, problem = _stated(measured, pixels, model, outlines)
+    advice = "--resume continues them, --overwrite starts again"
+    check_folder(folder, _PARTS_FOLDER, "unfinished maps", files.resume or files.overwrite, advice)
+    source, problem = _read_problem(measured, pixels, model, outlines)
     with ThreadPoolExecutor(cores()) as pool:
         sample = _sample(source)
         source.check(sample)
         starts = fitting.prior_starts(problem, pool.map)
         if math.prod(source.cube.shape[:2]) > 4 * _SAMPLE:
-            found = fitting.fit_pixels(problem, sample, starts, pool.map)
-            starts = fitting.starts_at(problem, found.z, pool.map)
+            fits = fitting.fit_pixels(problem, sample, starts, pool.map)
+            starts = fitting.starts_at(problem, fits.z, pool.map)
         flow = None
         if posterior.posterior:
             flow = flow_for(problem, posterior.flows or folder / "flows", posterior.seed, pool.map)
     groups = measured, pixels, model, posterior
-    parts = KeptPieces(folder / _PARTS, repr([group.settings() for group in groups]), sample)
+    parts = KeptPieces(folder / _PARTS_FOLDER, repr([group.settings() for group in groups]), sample)
     parts.begin(files.resume)
-    how = _Fitting(problem, starts, flow, posterior.seed)
-    _fit(parts, _Pieces(source, how, parts.done()), workers)
-    with replacing(folder / "maps.nc") as made:
-        counts = _written(made, source, how, measured, parts)
-        _draw(made, folder, problem, outlines, posterior.posterior)
+    settings = _Fitting(problem, starts, flow, posterior.seed)
+    _fit(parts, _Pieces(source, settings, parts.done()), workers)
+    with replacing(folder / "maps.nc") as temporary:
+        counts = _write_maps(temporary, source, settings, measured, parts)
+        _draw(temporary, folder, problem, outlines, posterior.posterior)
     parts.remove()
     rows, columns, _ = source.cube.shape
-    said = [f"{n} {FLAGS[flag]}" for flag, n in counts.items() if n]
-    print_table([], _medians(folder / "maps.nc", problem), [], title=f"{folder}: medians")
-    opt.notice(f"{rows * columns} pixels: {', '.join(said) or 'none flagged'}")
+    flagged = [f"{n} {FLAGS[flag]}" for flag, n in counts.items() if n]
+    print_table([], _median_table(folder / "maps.nc", problem), [], title=f"{folder}: medians")
+    opt.notice(f"{rows * columns} pixels: {', '.join(flagged) or 'none flagged'}")
     fitted = rows * columns - sum(counts[f] for f in list(FLAGS)[:3])
-    if counts[PixelFlag.MISFIT] > _MANY * fitted:
+    if counts[PixelFlag.MISFIT] > _MANY_MISFITS * fitted:
         opt.notice("WARNING: the model does not produce the spectra of many pixels: see the misfit")
 
 
 def _outlines(pixels: PixelChoice) -> tuple[Ellipse, Ellipse] | None:
-    """Pupil and limbus."""
-    pupil, limbus = outline_of("--pupil", pixels.pupil), outline_of("--limbus", pixels.limbus)
+    """Parse the outlines of pupil and limbus."""
+    pupil, limbus = parse_outline("--pupil", pixels.pupil), parse_outline("--limbus", pixels.limbus)
     if (pupil is None) != (limbus is None):
         raise ValueError("--pupil and --limbus go together: give both, or neither")
     return None if pupil is None or limbus is None else (pupil, limbus)
 
 
-def _stated(
+def _read_problem(
     measured: CubeMeasurement,
     pixels: PixelChoice,
     model: PixelModel,
     outlines: tuple[Ellipse, Ellipse] | None,
 ) -> tuple[Reflectances, ij.Problem]:
-    """The reflectances of the cube, and the problem that each pixel is."""
-    how = {"variable": measured.variable, "wavelength_unit": measured.wavelength_unit}
-    cube = read_cube(measured.cube, **how)
-    seen, grid = measured.seen, cube.wavelengths
-    bands = seen["bands"]
+    """Read the cube's reflectances, and state the inverse problem of a pixel."""
+    cube_options = {"variable": measured.variable, "wavelength_unit": measured.wavelength_unit}
+    cube = read_cube(measured.cube, **cube_options)
+    spectrum_arguments, grid = measured.spectrum_arguments, cube.wavelengths
+    bands = spectrum_arguments["bands"]
     if grid is None and isinstance(bands, Passbands):
         grid = np.asarray(bands.centres)
     if grid is None or grid.size != cube.shape[2]:
-        said = "no wavelengths of its bands" if grid is None else f"{cube.shape[2]} bands"
-        to_do = "give --bands FILE with the centre of each"
-        raise ValueError(f"{cube.path}: has {said}; {to_do}")
+        defect = "no wavelengths of its bands" if grid is None else f"{cube.shape[2]} bands"
+        advice = "give --bands FILE with the centre of each"
+        raise ValueError(f"{cube.path}: has {defect}; {advice}")
     notes: list[str] = []
     used = np.flatnonzero(within_range(grid, measured.wavelengths, notes))
     for note in notes:
         opt.notice(f"{cube.path}: {note}")
     if bands is None and cube.fwhm is not None and (cube.fwhm > 0).all():
-        seen["bands"] = Passbands.slit(grid[used], cube.fwhm[used])
+        spectrum_arguments["bands"] = Passbands.slit(grid[used], cube.fwhm[used])
         opt.notice(f"{cube.path}: bandwidths as the file says; --bandwidth otherwise")
-    blank = ij.spectrum(grid[used], np.zeros(used.size), name=str(cube.path), **seen)
+    blank = ij.spectrum(grid[used], np.zeros(used.size), name=str(cube.path), **spectrum_arguments)
     noise: Any = measured.relative_noise, measured.absolute_noise
-    problem = ij.problem(blank, noise=ij.Noise(*noise), **model.stated([cube.header]))
+    problem = ij.problem(blank, noise=ij.Noise(*noise), **model.problem_arguments([cube.header]))
     model.notice_process(problem)
     white, dark = (
-        None if path is None else read_reference(path, cube, **how)
+        None if path is None else read_reference(path, cube, **cube_options)
         for path in (measured.white, measured.dark)
     )
     return Reflectances(
         cube, white, dark, measured.white_reflectance,
         0.01 if measured.unit == "percent" else 1.0,
         cube.ceiling if measured.ceiling is None else measured.ceiling,
-        _kept(pixels, cube.shape[:2], outlines), pixels.brightness, used,
+        _pixel_selector(pixels, cube.shape[:2], outlines), pixels.brightness, used,
     ), problem  # fmt: skip
 
 
-def _kept(pixels: PixelChoice, shape: tuple[int, ...], outlines: Any) -> Rows | None:
-    """A function of the first and the last row that returns which pixels are used."""
+def _pixel_selector(pixels: PixelChoice, shape: tuple[int, ...], outlines: Any) -> Rows | None:
+    """Return a function of the first and the last row that tells which pixels are used."""
     mask = None
     if pixels.mask is not None:
         mask = io.read_image(pixels.mask).pixels[..., 0] > 0.5
@@ -243,39 +243,41 @@ def _kept(pixels: PixelChoice, shape: tuple[int, ...], outlines: Any) -> Rows | 
     if mask is None and outlines is None:
         return None
 
-    def kept(first: int, last: int) -> np.ndarray:
-        found = np.ones((last - first, shape[1]), bool) if mask is None else mask[first:last]
+    def select(first: int, last: int) -> np.ndarray:
+        chosen = np.ones((last - first, shape[1]), bool) if mask is None else mask[first:last]
         if outlines is None:
-            return found
+            return chosen
         row, column = np.mgrid[first:last, : shape[1]]
         pupil, limbus = (outline.relative_radius(column, row) for outline in outlines)
-        return found & (pupil > 1) & (limbus < 1)
+        return chosen & (pupil > 1) & (limbus < 1)
 
-    return kept
+    return select
 
 
 def _sample(source: Reflectances) -> np.ndarray:
-    """Spectra of pixels spread over the cube; `ValueError` where none can be used."""
+    """Read spectra of pixels spread over the cube; raise `ValueError` if none can be used."""
     rows = source.cube.shape[0]
     spread = np.unique(np.linspace(0, rows - 1, 66).round().astype(int))
     counts = dict.fromkeys(list(FLAGS)[:3], 0)
     for chosen in (spread, np.setdiff1d(np.arange(rows), spread)):
-        found = []
+        spectra = []
         for row in chosen.tolist():
             values, flags = source.read(row, row + 1)
-            good = values[flags == 0]
-            most = -(-_SAMPLE // len(chosen))
-            found.append(good[np.linspace(0, len(good) - 1, min(most, len(good))).astype(int)])
+            usable = values[flags == 0]
+            count = -(-_SAMPLE // len(chosen))
+            spectra.append(
+                usable[np.linspace(0, len(usable) - 1, min(count, len(usable))).astype(int)]
+            )
             for flag in counts:
                 counts[flag] += int(((flags & flag) > 0).sum())
-        if sum(map(len, found)):
-            return np.concatenate(found)
-    said = ", ".join(f"{n} {FLAGS[flag]}" for flag, n in counts.items() if n)
-    raise ValueError(f"{source.cube.path}: no pixel is left to fit: {said}")
+        if sum(map(len, spectra)):
+            return np.concatenate(spectra)
+    flagged = ", ".join(f"{n} {FLAGS[flag]}" for flag, n in counts.items() if n)
+    raise ValueError(f"{source.cube.path}: no pixel is left to fit: {flagged}")
 
 
 class _Fitting(NamedTuple):
-    """How pixels are fitted; with a `flow` their posteriors are drawn too."""
+    """Settings of the fit of pixels; with a `flow` their posteriors are drawn too."""
 
     problem: ij.Problem
     starts: Starts
@@ -284,16 +286,16 @@ class _Fitting(NamedTuple):
 
 
 class _Pieces(Mapping[int, tuple[Any, ...]]):
-    """Arguments of `_fitted` for some rows, by the first of these; read when they are needed."""
+    """Arguments of `_fit_rows` for blocks of rows, by the first row; read when they are needed."""
 
-    def __init__(self, source: Reflectances, how: _Fitting, done: list[int]):
-        self.source, self._how = source, how
+    def __init__(self, source: Reflectances, settings: _Fitting, done: list[int]):
+        self.source, self._how = source, settings
         rows, columns, _ = source.cube.shape
         self._rows, self._step = rows, max(1, _CHUNK // columns)
         self._left = [n for n in range(0, rows, self._step) if n not in set(done)]
 
     def rows_of(self, first: int) -> int:
-        """Number of rows of a piece."""
+        """Return the number of rows of a piece."""
         return min(self._step, self._rows - first)
 
     def __getitem__(self, first: int) -> tuple[Any, ...]:
@@ -310,45 +312,45 @@ class _Pieces(Mapping[int, tuple[Any, ...]]):
 def _fit(parts: KeptPieces, pieces: _Pieces, workers: Workers) -> None:
     """Fit all pixels that are left."""
     rows, columns, _ = pieces.source.cube.shape
-    done = columns * sum(pieces.rows_of(first) for first in parts.done())
-    with tqdm(total=rows * columns, initial=done, unit="pixel", disable=None) as bar:
-        for first, result in each(_fitted, pieces, workers):
-            if isinstance(result, Lost):
-                where = f"{pieces.source.cube.path}, row {first} and those below"
-                raise ValueError(f"{where}: {result.why}")
+    pixels_done = columns * sum(pieces.rows_of(first) for first in parts.done())
+    with tqdm(total=rows * columns, initial=pixels_done, unit="pixel", disable=None) as bar:
+        for first, result in run_pieces(_fit_rows, pieces, workers):
+            if isinstance(result, LostPiece):
+                place = f"{pieces.source.cube.path}, row {first} and those below"
+                raise ValueError(f"{place}: {result.reason}")
             flags, maps = result
             parts.add(first, {"flag": flags, **maps})
             bar.update(flags.size)
 
 
-def _written(
+def _write_maps(
     path: Path,
     source: Reflectances,
-    how: _Fitting,
+    settings: _Fitting,
     measured: CubeMeasurement,
     parts: KeptPieces,
 ) -> dict[PixelFlag, int]:
-    """Write the maps of all parts to a file; how many pixels have each flag."""
+    """Write the maps of all parts to a file, and count the pixels with each flag."""
     (rows, columns, _), counts = source.cube.shape, dict.fromkeys(FLAGS, 0)
-    problem, flow = how.problem, how.flow
+    problem, flow = settings.problem, settings.flow
     names = problem.fitted
     priors = {n: {"prior": repr(p)} for n, p in zip(problem.free, problem.priors, strict=True)}
     variables: dict[str, Any] = {}
 
-    def declare(name: str, *axes: str, **said: str) -> None:
-        variables[name] = axes, "f4", {**said, "_FillValue": np.float32(np.nan)}
+    def declare(name: str, *axes: str, **attributes_of_map: str) -> None:
+        variables[name] = axes, "f4", {**attributes_of_map, "_FillValue": np.float32(np.nan)}
 
-    for name in _mapped(problem):
+    for name in _map_names(problem):
         units = unit_of(name) or "1"
         declare(name, units=units, **priors.get(name, {}))
         declare(f"{name}_sd", units=units, long_name=f"standard deviation of {name}")
         for what in ("mean", "sd") if flow is not None else ():
-            words = f"{what} of the posterior of {name}"
-            declare(f"{name}_posterior_{what}", units=units, long_name=words)
-    words = "covariance of the parameters in their units"
-    declare("covariance", "parameter", "other", long_name=words)
-    words = "sum of squared residuals over the number of bands"
-    declare("reduced_chi_square", units="1", long_name=words)
+            description = f"{what} of the posterior of {name}"
+            declare(f"{name}_posterior_{what}", units=units, long_name=description)
+    description = "covariance of the parameters in their units"
+    declare("covariance", "parameter", "other", long_name=description)
+    description = "sum of squared residuals over the number of bands"
+    declare("reduced_chi_square", units="1", long_name=description)
     if flow is not None:
         declare("efficiency", units="1", long_name="share of effective draws of the flow")
     variables["flag"] = (), "u1", {
@@ -363,122 +365,133 @@ def _written(
     }  # fmt: skip
     if "simulated" in source.cube.header:
         attributes["simulated"] = source.cube.header["simulated"]
-    along = {"parameter": names, "other": names}
-    with writing_maps(path, (rows, columns), variables, along, attributes) as write:
+    coordinates = {"parameter": names, "other": names}
+    with writing_maps(path, (rows, columns), variables, coordinates, attributes) as write:
         for first in parts.done():
-            found = parts.read(first)
-            flags = found.pop("flag")
-            good = flags & _UNFITTED == 0
-            for name, (more, dtype, _) in variables.items():
-                shape = (*flags.shape, *(len(names) for _ in more))
+            arrays = parts.read(first)
+            flags = arrays.pop("flag")
+            is_fitted = flags & _UNFITTED == 0
+            for name, (more_axes, dtype, _) in variables.items():
+                shape = (*flags.shape, *(len(names) for _ in more_axes))
                 array = flags if name == "flag" else np.full(shape, np.nan, dtype)
-                if name in found:
-                    array[good] = found[name]
+                if name in arrays:
+                    array[is_fitted] = arrays[name]
                 write(name, first, array)
             for flag in counts:
                 counts[flag] += int(((flags & flag) > 0).sum())
     return counts
 
 
-def _fitted(
-    values: np.ndarray, flags: np.ndarray, how: _Fitting
+def _fit_rows(
+    values: np.ndarray, flags: np.ndarray, settings: _Fitting
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return flags of rows, and the maps of those pixels that are fitted."""
-    good = flags == 0
-    if not good.any():
+    """Fit rows; return their flags, and the maps of the pixels that are fitted."""
+    is_fitted = flags == 0
+    if not is_fitted.any():
         return flags, {}
     with ThreadPoolExecutor(cores()) as pool:
-        fits = fitting.fit_pixels(how.problem, values[good], how.starts, pool.map)
-        more, maps = 0, {}
-        if how.flow is not None:
-            more, maps = _posteriors(how, how.flow, values[good], fits, pool.map)
-    flags = flags.copy()  # what comes from another process cannot be changed
-    flags[good] = fits.flags + more
-    return flags, _maps(fits) | maps
+        fits = fitting.fit_pixels(settings.problem, values[is_fitted], settings.starts, pool.map)
+        posterior_flags, maps = 0, {}
+        if settings.flow is not None:
+            posterior_flags, maps = _posteriors(
+                settings, settings.flow, values[is_fitted], fits, pool.map
+            )
+    flags = flags.copy()  # an array from another process is read-only
+    flags[is_fitted] = fits.flags + posterior_flags
+    return flags, _map_arrays(fits) | maps
 
 
 def _posteriors(
-    how: _Fitting, flow: Path, values: np.ndarray, fits: PixelFits, each: Any
+    settings: _Fitting, flow: Path, values: np.ndarray, fits: PixelFits, each: Any
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Return flags of pixels, and the maps of their posteriors' means and standard deviations."""
-    problem, key = how.problem, opt.key_of(how.seed)
+    """Draw posteriors; return flags of pixels, and maps of means and standard deviations."""
+    problem, key = settings.problem, opt.key_of(settings.seed)
     data = problem, values, fits.z, fits.z_covariance
     weighted = weighted_draws(read_flow(flow, problem), *data, each=each, key=key)
-    draws, good = with_chains(weighted, *data, key=key)
+    draws, reliable = with_chains(weighted, *data, key=key)
     maps = {"efficiency": weighted.efficiency}
     for name, x in reported(problem, draws.z).items():
         mean = (draws.weights * x).sum(axis=1)
         sd = np.sqrt((draws.weights * (x - mean[:, None]) ** 2).sum(axis=1))
         maps |= {f"{name}_posterior_mean": mean, f"{name}_posterior_sd": sd}
-    flags = PixelFlag.OUT_OF_DISTRIBUTION * weighted.unusual + PixelFlag.NO_POSTERIOR * ~good
+    flags = PixelFlag.OUT_OF_DISTRIBUTION * weighted.unusual + PixelFlag.NO_POSTERIOR * ~reliable
     return flags.astype(np.uint8), maps
 
 
-def _mapped(problem: ij.Problem) -> list[str]:
-    """Names of maps: fitted parameters, and the melanin of the ABL if it follows from these."""
+def _map_names(problem: ij.Problem) -> list[str]:
+    """List the maps: fitted parameters, and the melanin of the ABL if it follows from them."""
     names = problem.fitted
     return [*names, *["abl_melanin"] * ({"melanin_load", "abl_fraction"} <= set(names))]
 
 
-def _maps(fits: PixelFits) -> dict[str, np.ndarray]:
-    """Arrays of fitted pixels by the names of maps."""
-    found = {"covariance": fits.covariance, "reduced_chi_square": fits.chi_square}
+def _map_arrays(fits: PixelFits) -> dict[str, np.ndarray]:
+    """Return arrays of fitted pixels by the names of maps."""
+    arrays = {"covariance": fits.covariance, "reduced_chi_square": fits.chi_square}
     for name, values, sd in zip(fits.names, fits.values.T, fits.sd.T, strict=True):
-        found |= {name: values, f"{name}_sd": sd}
-    if (both := fits.abl_melanin()) is not None:
-        found |= {"abl_melanin": both[0], "abl_melanin_sd": both[1]}
-    return found
+        arrays |= {name: values, f"{name}_sd": sd}
+    if (of_abl := fits.abl_melanin()) is not None:
+        arrays |= {"abl_melanin": of_abl[0], "abl_melanin_sd": of_abl[1]}
+    return arrays
 
 
-def _draw(made: Path, folder: Path, problem: ij.Problem, outlines: Any, posterior: bool) -> None:
+def _draw(
+    temporary: Path, folder: Path, problem: ij.Problem, outlines: Any, posterior: bool
+) -> None:
     """Write pictures of the maps, and the maps for the renderers."""
-    flags = read_map(made, "flag")
-    extent, step = flags.shape, max(1, -(-max(flags.shape) // _SHOWN))
-    shown = {n: (read_map(made, n, step), unit_of(n)) for n in _mapped(problem)}
-    misfit = {"reduced_chi_square": (read_map(made, "reduced_chi_square", step), "")}
-    drawn = {"overview": maps_figure(shown | misfit, extent)}
-    drawn["reduced_chi_square"] = maps_figure(misfit, extent)
-    drawn["flag"] = flags_figure(flags[::step, ::step], {int(f): w for f, w in FLAGS.items()})
-    for name, (values, unit) in shown.items():
-        both = {name: values, f"standard deviation of {name}": read_map(made, f"{name}_sd", step)}
+    flags = read_map(temporary, "flag")
+    extent, step = flags.shape, max(1, -(-max(flags.shape) // _PICTURE_SIDE))
+    maps = {n: (read_map(temporary, n, step), unit_of(n)) for n in _map_names(problem)}
+    misfit = {"reduced_chi_square": (read_map(temporary, "reduced_chi_square", step), "")}
+    figures = {"overview": maps_figure(maps | misfit, extent)}
+    figures["reduced_chi_square"] = maps_figure(misfit, extent)
+    figures["flag"] = flags_figure(flags[::step, ::step], {int(f): w for f, w in FLAGS.items()})
+    for name, (values, unit) in maps.items():
+        panels = {
+            name: values,
+            f"standard deviation of {name}": read_map(temporary, f"{name}_sd", step),
+        }
         if posterior:
             for what in ("mean", "sd"):
-                both[f"{what} of the posterior"] = read_map(made, f"{name}_posterior_{what}", step)
-        drawn[name] = maps_figure({n: (x, unit) for n, x in both.items()}, extent)
+                panels[f"{what} of the posterior"] = read_map(
+                    temporary, f"{name}_posterior_{what}", step
+                )
+        figures[name] = maps_figure({n: (x, unit) for n, x in panels.items()}, extent)
     if posterior:
-        share = {"efficiency": (read_map(made, "efficiency", step), "")}
-        drawn["efficiency"] = maps_figure(share, extent)
-    data = {folder / f"{name}.png": picture(figure, ".png") for name, figure in drawn.items()}
+        share = {"efficiency": (read_map(temporary, "efficiency", step), "")}
+        figures["efficiency"] = maps_figure(share, extent)
+    data = {folder / f"{name}.png": picture(figure, ".png") for name, figure in figures.items()}
     if outlines is not None and problem.base.power_law is not None:
         opt.notice("no maps.exr: pictures support no power law of scattering")
     elif outlines is not None:
-        data |= {folder / n: d for n, d in _for_renderers(made, flags, problem, outlines).items()}
+        data |= {
+            folder / n: d for n, d in _renderer_files(temporary, flags, problem, outlines).items()
+        }
     io.write_together(data)
 
 
-def _for_renderers(
-    made: Path, flags: np.ndarray, problem: ij.Problem, outlines: tuple[Ellipse, Ellipse]
+def _renderer_files(
+    temporary: Path, flags: np.ndarray, problem: ij.Problem, outlines: tuple[Ellipse, Ellipse]
 ) -> dict[str, bytes]:
-    """The maps between pupil and limbus as polar textures, and a scene of them."""
+    """Make polar textures of the maps between pupil and limbus, and a scene with them."""
     pupil, limbus = outlines
     step = max(1, math.ceil(limbus.mean_radius / _RADIUS))
     middle, reach = np.flip(limbus.centre), max(limbus.semi_axes) + 1
     low, high = (np.clip((middle + d) / step, 0, None).astype(int) for d in (-reach, reach))
     box = np.s_[low[0] : high[0] + 2, low[1] : high[1] + 2]
-    good = (flags[::step, ::step][box] & ~(PixelFlag.OFF_PRIOR | PixelFlag.MISFIT)) == 0
+    usable = (flags[::step, ::step][box] & ~(PixelFlag.OFF_PRIOR | PixelFlag.MISFIT)) == 0
     values = {n: np.asarray(v) for n, v in problem.fixed.items() if n != "noise"}
-    values |= {n: read_map(made, n, step)[box].astype(float) for n in problem.fitted}
-    iris = fitting.iris_of_pixels(values, problem.base, good)
+    values |= {n: read_map(temporary, n, step)[box].astype(float) for n in problem.fitted}
+    iris = fitting.iris_of_pixels(values, problem.base, usable)
     across = limbus.mean_radius - pupil.mean_radius
     shape = max(64, round(2 * math.pi * limbus.mean_radius / step)), max(16, round(across / step))
     angle, radius = (np.asarray(x) for x in cell_centres(shape))
-    ends = [o.points(angle - o.angle)[:, None] for o in outlines]
-    column, row = np.moveaxis(ends[0] + (ends[1] - ends[0]) * radius[:, None], -1, 0) / step
+    edges = [o.points(angle - o.angle)[:, None] for o in outlines]
+    column, row = np.moveaxis(edges[0] + (edges[1] - edges[0]) * radius[:, None], -1, 0) / step
     column, row = column - low[1], row - low[0]
-    near: Any = distance_transform_edt(~good, return_distances=False, return_indices=True)
+    nearest: Any = distance_transform_edt(~usable, return_distances=False, return_indices=True)
     texels = {
         n: np.full(shape, v) if v.ndim == 0
-        else map_coordinates(v[tuple(near)], [row, column], order=1, mode="nearest")
+        else map_coordinates(v[tuple(nearest)], [row, column], order=1, mode="nearest")
         for n, v in values.items()
     }  # fmt: skip
     maps = fitting.maps_of_pixels(texels, iris)
@@ -497,10 +510,10 @@ def _for_renderers(
     return {"maps.exr": encode_maps("maps.exr", maps), "scene.toml": text.encode()}
 
 
-def _medians(path: Path, problem: ij.Problem) -> dict[str, list[str]]:
-    """Columns of a table: for each map its median, its range over pixels, and its deviation."""
-    step, rows = max(1, max(read_map(path, "flag").shape) // _SHOWN), []
-    for name in sorted(_mapped(problem), key=lambda n: n != "abl_melanin"):
+def _median_table(path: Path, problem: ij.Problem) -> dict[str, list[str]]:
+    """Return columns of a table: each map's median, range over pixels, and standard deviation."""
+    step, rows = max(1, max(read_map(path, "flag").shape) // _PICTURE_SIDE), []
+    for name in sorted(_map_names(problem), key=lambda n: n != "abl_melanin"):
         low, middle, high = np.nanpercentile(read_map(path, name, step), (16, 50, 84))
         sd = np.nanmedian(read_map(path, f"{name}_sd", step))
         numbers = f"{middle:.3g}", f"{low:.3g} to {high:.3g}", f"{sd:.2g}"

@@ -14,7 +14,14 @@ from irisjax import io, plot
 from irisjax.cli import light as lights
 from irisjax.cli import model
 from irisjax.cli import options as opt
-from irisjax.cli.files import SwatchFile, TableFile, TableFiles, check_files, head, write_table
+from irisjax.cli.files import (
+    SwatchFile,
+    TableFile,
+    TableFiles,
+    check_files,
+    file_header,
+    write_table,
+)
 from irisjax.infer.parameters import of_iris
 from irisjax.measure.observe import observe
 from irisjax.measure.polarimeter import PolarisedReading
@@ -43,10 +50,10 @@ def spectrum_command(
     if light.instrument in lights.POLARIMETERS:
         process = process.seeing_polarisation(light.instrument)
     quantity = _QUANTITIES.get(light.instrument, light.instrument)
-    light = lights.centred(light)
-    result, lines = _read("spectrum", quantity, iris, process, solver, light)
-    named = re.sub(r"\W", "_", result.quantity)
-    columns = {"wavelength_nm": result.wavelengths, named: result.values}
+    light = lights.with_band_centres(light)
+    result, lines = _read_instrument("spectrum", quantity, iris, process, solver, light)
+    column = re.sub(r"\W", "_", result.quantity)
+    columns = {"wavelength_nm": result.wavelengths, column: result.values}
     if isinstance(result, PolarisedReading):
         columns["angle_deg"] = np.degrees(result.angle)
     if result.standard_error is not None:
@@ -67,7 +74,7 @@ def brdf_command(
 ) -> None:
     """Compute the BRDF of an iris in the aqueous humour, without its surface's reflection."""
     check_files(files.output, files.plot)
-    result, lines = _read("brdf", "BRDF", iris, process, solver, light)
+    result, lines = _read_instrument("brdf", "BRDF", iris, process, solver, light)
     angle, azimuth = light.exits()
     rows = np.broadcast_to(light.wavelengths.values[:, None], result.values.shape)
     columns = {
@@ -95,7 +102,7 @@ def colour_command(
 ) -> None:
     """Compute the colour of an iris under an illuminant: XYZ, CIE L*a*b*, sRGB, and a swatch."""
     check_files(None, files.swatch, ".png")
-    result, lines = _read("colour", "colour", iris, process, solver, light)
+    result, lines = _read_instrument("colour", "colour", iris, process, solver, light)
     srgb8 = red, green, blue = np.rint(255 * np.clip(result.srgb, 0, 1)).astype(int).tolist()
     clipped = "" if result.in_gamut else "outside sRGB's gamut: the 8-bit values are clipped"
     rows = [
@@ -121,17 +128,17 @@ def simulate_measurement_command(
 ) -> None:
     """Simulate a noisy spectrum of an iris, with its truth in the header, to try `irisjax fit`."""
     check_files(files.output)
-    light = lights.centred(light)
-    eye, rules = model.modelled(iris, process)
+    light = lights.with_band_centres(light)
+    eye, rules = model.build_model(iris, process)
     truth = {n: float(v) for n, v in of_iris(eye).items() if n != "noise"}
     truth["gain"] = light.gain
     groups = (iris, process, light)
-    lines = head("simulate-measurement", "noisy reflectance", eye, rules, groups)
+    lines = file_header("simulate-measurement", "noisy reflectance", eye, rules, groups)
     lines["truth"] = ", ".join(f"{name} = {value:.6g}" for name, value in truth.items())
     grid = light.wavelengths.values
     levels: Any = light.relative_noise, light.absolute_noise
     problem = ij.problem(
-        ij.spectrum(grid, np.zeros(grid.size), **light.before_the_iris()),
+        ij.spectrum(grid, np.zeros(grid.size), **light.instrument_arguments()),
         free=["noise"],
         fixed={"gain": light.gain},
         base=eye,
@@ -145,7 +152,7 @@ def simulate_measurement_command(
     write_table(files, lines, {"wavelength_nm": grid, **scans})
 
 
-def _read(
+def _read_instrument(
     command: str,
     quantity: str,
     iris: model.IrisOptions,
@@ -153,55 +160,55 @@ def _read(
     solver: model.SolverOptions,
     light: lights.LightOptions,
 ) -> tuple[Any, dict[str, str]]:
-    """Return the reading of the light's instrument, and the header of a file that holds it."""
-    eye, rules = model.modelled(iris, process)
+    """Return the reading of the light's instrument, and the header of its file."""
+    eye, rules = model.build_model(iris, process)
     instrument = light.instrument_at(light.wavelengths.values)
-    method = model.solver_of(solver, rules, eye, exits=instrument.exits is not None)
-    result = _measured(eye, instrument, method, solver.key)
-    _doubt_few_photons(result)
-    left_out = _left_out_by_scalar_theory(eye, light) if rules == DEPTH_RESOLVED else None
+    method = model.make_solver(solver, rules, eye, exits=instrument.exits is not None)
+    result = _observe(eye, instrument, method, solver.key)
+    _warn_few_photons(result)
+    left_out = _scalar_theory_error(eye, light) if rules == DEPTH_RESOLVED else None
     groups = (iris, process, solver, light)
-    return result, head(command, quantity, eye, rules, groups, method, left_out)
+    return result, file_header(command, quantity, eye, rules, groups, method, left_out)
 
 
-def _measured(iris, instrument, solver: AbstractSolver, key: jax.Array | None) -> Any:
+def _observe(iris, instrument, solver: AbstractSolver, key: jax.Array | None) -> Any:
     """Return the reading; photons are followed in blocks, with a progress bar."""
     if not isinstance(solver, MonteCarlo):
         return observe(iris, instrument, solver, key=key)
-    # `delay`: runs of less than a second need no bar.
-    how = {"unit": "photon", "unit_scale": True, "delay": 1}
-    with tqdm(total=solver.n_photons, disable=None, **how) as bar:
+    # Runs of less than a second show no bar (`delay`).
+    bar_options = {"unit": "photon", "unit_scale": True, "delay": 1}
+    with tqdm(total=solver.n_photons, disable=None, **bar_options) as bar:
         return observe(iris, instrument, solver, key=key, progress=bar.update)
 
 
-def _left_out_by_scalar_theory(iris: ij.Iris, light: lights.LightOptions) -> str:
+def _scalar_theory_error(iris: ij.Iris, light: lights.LightOptions) -> str:
     """Describe the error of scalar theory at some of the wavelengths."""
     if iris.power_law is not None:
         return "how far that is off is not known under a power law of scattering"
     grid, colour = light.wavelengths.values, isinstance(light, lights.ColourLight)
-    if not colour:  # which is of the whole range
-        few = np.linspace(0, grid.size - 1, _FEW_WAVELENGTHS).round().astype(int)
-        grid = grid[np.unique(few)]
+    if not colour:  # a colour needs all wavelengths
+        chosen = np.linspace(0, grid.size - 1, _FEW_WAVELENGTHS).round().astype(int)
+        grid = grid[np.unique(chosen)]
     instrument = light.instrument_at(grid)
     readings = (
         observe(iris, instrument, model.exact_solver(p)) for p in (DEPTH_RESOLVED, POLARISED)
     )
-    scalar, full = (np.asarray(r.xyz[1:2] if colour else r.values) for r in readings)
-    dark = full <= 0
-    low = 100 * (1 - np.where(dark, 1, scalar) / np.where(dark, 1, full))
-    first, last = float(low.min()), float(low.max())
+    scalar, polarised = (np.asarray(r.xyz[1:2] if colour else r.values) for r in readings)
+    dark = polarised <= 0
+    errors = 100 * (1 - np.where(dark, 1, scalar) / np.where(dark, 1, polarised))
+    first, last = float(errors.min()), float(errors.max())
     name = "luminance" if colour else "values"
     if max(abs(first), abs(last)) < 0.05:
         return f"{name} within 0.05 % of polarised transport of the same layers"
-    said = [f"{abs(off):.1f} % {'low' if off >= 0 else 'high'}" for off in (first, last)]
-    if said[0] == said[1]:
-        said = said[1:]
+    texts = [f"{abs(error):.1f} % {'low' if error >= 0 else 'high'}" for error in (first, last)]
+    if texts[0] == texts[1]:
+        texts = texts[1:]
     elif first >= 0:
-        said[0] = f"{first:.1f}"
-    return f"{name} {' to '.join(said)} against polarised transport of the same layers"
+        texts[0] = f"{first:.1f}"
+    return f"{name} {' to '.join(texts)} against polarised transport of the same layers"
 
 
-def _doubt_few_photons(reading: Any) -> None:
+def _warn_few_photons(reading: Any) -> None:
     """Warn of standard errors that rest on too few photons."""
     error = getattr(reading, "standard_error", None)
     if error is None:
@@ -216,11 +223,11 @@ def _doubt_few_photons(reading: Any) -> None:
 
 
 def _title(quantity: str, process: model.ProcessOptions, solver: model.SolverOptions) -> str:
-    how = "exact" if solver.solver == "exact" else f"{solver.photons:g} photons"
+    method = "exact" if solver.solver == "exact" else f"{solver.photons:g} photons"
     rules = f"{process.process}{', polarised' if process.polarised else ''}"
-    return f"Simulated {quantity} of an iris ({rules}, {how})"
+    return f"Simulated {quantity} of an iris ({rules}, {method})"
 
 
 def _row(name: str, numbers, form: str, remark: str = "") -> str:
-    shown = " ".join(f"{format(v, form):>11}" for v in np.asarray(numbers).tolist())
-    return f"{name:<12}{shown}   {remark}".rstrip()
+    cells = " ".join(f"{format(v, form):>11}" for v in np.asarray(numbers).tolist())
+    return f"{name:<12}{cells}   {remark}".rstrip()

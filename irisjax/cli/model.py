@@ -1,4 +1,4 @@
-"""Groups of options: what the iris is made of, how light goes through it, how that is solved."""
+"""Groups of options: the iris, the process of light transport, and its solver."""
 
 import dataclasses
 from typing import Any, ClassVar, get_args
@@ -29,19 +29,19 @@ _ILIT = "process", ("ilit-2006", "ilit-corrected")
 _SAMPLED = "solver", ("monte-carlo",)
 
 
-def _field(name: str) -> Any:
-    """Option of a field of `Iris`; the iris checks the range and holds the default."""
+def _number_option(name: str) -> Any:
+    """Make the option of a field of `Iris`, which checks the range and has the default."""
     words, default = RANGES[name].meaning, _DEFAULTS[name]
     if name in POWER_LAW_LIMITS:
         words += f"; makes scattering a power law, for --process {_DEEP} alone"
     words += f", {opt.in_words(RANGES[name])}"
-    if isinstance(default, float) and not name.endswith("melanin"):  # those are the level's
+    if isinstance(default, float) and not name.endswith("melanin"):  # `--level` sets melanins
         words += f"; default {default:g}"
     return opt.number(words, metavar=RANGES[name].unit)
 
 
-def _blood(name: str) -> Any:
-    """Option of the blood by its amount or its oxygen, in place of the two haemoglobins."""
+def _blood_option(name: str) -> Any:
+    """Make the option of the blood's amount or oxygenation, in place of the two haemoglobins."""
     words = f"{BLOOD[name].meaning}, {opt.in_words(BLOOD[name])}; sets both haemoglobins"
     return opt.number(words, metavar=BLOOD[name].unit or "number")
 
@@ -49,7 +49,7 @@ def _blood(name: str) -> Any:
 # An option for each number of an iris, in the order of its fields; the class defines the others.
 _CHOICES = "scattering", *POWER_LAW_LIMITS, "absorption"
 _NAMES = ("level", *LIMITS, "melanin_load", *BLOOD, *_CHOICES, *FRACTIONS)
-_FIELDS: dict[str, Any] = {n: _field(n) if n in RANGES else None for n in _NAMES}
+_FIELDS: dict[str, Any] = {n: _number_option(n) if n in RANGES else None for n in _NAMES}
 _ALL_FOUR = "sets F09's absorption, all four are needed"
 _FIELDS |= {
     n: opt.number(f"{volume.meaning}; {_ALL_FOUR}", metavar=volume.unit, overrules=_MELANINS)
@@ -60,7 +60,7 @@ _Numbers: type[opt.Group] = type("_Numbers", (opt.Group,), _FIELDS, panel="Iris"
 
 
 class IrisOptions(_Numbers):
-    """What the iris is made of; `None` stands for the level's value or LB06's."""
+    """The iris; `None` stands for the level's value or LB06's."""
 
     level: str = opt.choice(
         "pigmentation of the paper; sets both melanins",
@@ -72,8 +72,8 @@ class IrisOptions(_Numbers):
         "melanin mass per iris area, at least 0: rescales both melanins, keeping their ratio",
         metavar="ug/mm2",
     )
-    hemoglobin: float | None = _blood("hemoglobin")
-    saturation: float | None = _blood("saturation")
+    hemoglobin: float | None = _blood_option("hemoglobin")
+    saturation: float | None = _blood_option("saturation")
     scattering: str = opt.choice(
         "scattering coefficient of the stroma",
         get_args(Scattering),
@@ -113,7 +113,7 @@ class ProcessOptions(opt.Group, panel="Process"):
         "redraw directions when reflected inside a layer",
         names="--perturb-on-reflection/--no-perturb",
     )
-    # Polarised light, typed, is light of the one process that has it, whatever a file's was.
+    # If typed, it sets the one process with polarised light, whatever the process of a file.
     polarised: bool | None = opt.option(
         "depth-resolved transport of Stokes vectors, or of intensities alone",
         names="--polarised/--scalar",
@@ -126,7 +126,7 @@ class ProcessOptions(opt.Group, panel="Process"):
         super().__post_init__()
 
     def seeing_polarisation(self, instrument: str) -> "ProcessOptions":
-        """The options with polarisation, for an instrument that needs it."""
+        """Return the options with polarisation, for an instrument that measures it."""
         if self.polarised is False or ("process" in self.typed and self.process != _DEEP):
             raise ValueError(f"--instrument {instrument} needs --process {_DEEP} --polarised")
         return dataclasses.replace(self, process=_DEEP, polarised=True)
@@ -147,18 +147,22 @@ class SolverOptions(opt.Group, panel="Solver"):
         return None if self.solver == "exact" else opt.key_of(self.seed)
 
 
-def modelled(options: IrisOptions, rules: ProcessOptions) -> tuple[ij.Iris, AbstractProcess]:
-    """The iris and the process that the options describe."""
+def build_model(options: IrisOptions, rules: ProcessOptions) -> tuple[ij.Iris, AbstractProcess]:
+    """Make the iris and the process that the options describe."""
     names = (*RANGES, "melanin_load", *BLOOD, *FRACTIONS)
     fields = {n: v for n in names if (v := getattr(options, n)) is not None}
     blood = {n: fields.pop(n) for n in BLOOD if n in fields}
-    each = [opt.dashed(n) for n in ("oxyhemoglobin", "deoxyhemoglobin") if n in options.typed]
-    if blood and each:
-        raise ValueError(f"{opt.dashed(next(iter(blood)))} sets both haemoglobins: omit {each[0]}")
+    single_haemoglobins = [
+        opt.dashed(n) for n in ("oxyhemoglobin", "deoxyhemoglobin") if n in options.typed
+    ]
+    if blood and single_haemoglobins:
+        raise ValueError(
+            f"{opt.dashed(next(iter(blood)))} sets both haemoglobins: omit {single_haemoglobins[0]}"
+        )
     law = [opt.dashed(n) for n in POWER_LAW_LIMITS if n in fields]
     if law and "scattering" in options.typed:
-        said = "replaces the formula that --scattering names; give one of the two"
-        raise ValueError(f"{law[0]} {said}")
+        message = "replaces the formula that --scattering names; give one of the two"
+        raise ValueError(f"{law[0]} {message}")
     if not fields.keys() & FRACTIONS.keys() or "absorption" in options.typed:
         fields["absorption"] = options.absorption
     iris = ij.Iris.of_level(options.level).replace(**fields, scattering=options.scattering)
@@ -167,19 +171,21 @@ def modelled(options: IrisOptions, rules: ProcessOptions) -> tuple[ij.Iris, Abst
     switches = {n: getattr(rules, n) for n in process.describe()}
     process = dataclasses.replace(process, **{n: v for n, v in switches.items() if v is not None})
     if iris.power_law is not None:
-        what = "a power law of scattering (--reduced-scattering, --anisotropy, ...)"
+        subject = "a power law of scattering (--reduced-scattering, --anisotropy, ...)"
         if not isinstance(process, processes.RadiativeTransfer):
-            raise ValueError(f"{what} needs --process {_DEEP}")
+            raise ValueError(f"{subject} needs --process {_DEEP}")
         if rules.polarised:
-            why = "cannot be combined with polarised light, which scatters by Rayleigh's law only"
-            raise ValueError(f"{what} {why}")
+            reason = (
+                "cannot be combined with polarised light, which scatters by Rayleigh's law only"
+            )
+            raise ValueError(f"{subject} {reason}")
     return iris, process
 
 
-def solver_of(
+def make_solver(
     options: SolverOptions, process: AbstractProcess, iris: ij.Iris, *, exits: bool = False
 ) -> AbstractSolver:
-    """The solver that the options name, for such a process and iris; `exits`: for a BRDF."""
+    """Make the solver that the options name, for this process and iris; `exits` for a BRDF."""
     if options.solver == "exact":
         return exact_solver(process, iris, exits=exits)
     if process.polarised:

@@ -21,13 +21,13 @@ _MOST_WAVELENGTHS = 1_000_000
 OnlyWith: TypeAlias = Mapping[str, tuple[str, tuple[str, ...]]]
 
 
-def option(help: str, default: object = None, *, names: str = "", **shown: Any) -> Any:
-    """An option of the command line: a field of a `Group`.
+def option(help: str, default: object = None, *, names: str = "", **metadata: Any) -> Any:
+    """Make an option of the command line, a field of a `Group`.
 
     Args:
         help: Its line in the help.
-        default: Its value where it is not typed; `...` where it must be.
-        names: How it is typed, if not by the field's name.
+        default: Its value if it is not typed; `...` if it must be typed.
+        names: Its names on the command line, if not the field's.
         **shown: `metavar`; `parse`, a function of the text that raises `ValueError` where it cannot
             take it (the option, or the file and the key, is put in front of the message);
             `overrules`, names of what a file cannot set where this is typed; other arguments of
@@ -35,22 +35,22 @@ def option(help: str, default: object = None, *, names: str = "", **shown: Any) 
     """
     value = dataclasses.MISSING if default is ... else default
     return dataclasses.field(
-        default=value, metadata={"help": help, "names": tuple(names.split()), **shown}
+        default=value, metadata={"help": help, "names": tuple(names.split()), **metadata}
     )
 
 
 def argument(help: str, metavar: str, default: object = None) -> Any:
-    """A value of the command line without a name."""
+    """Make a positional argument of the command line."""
     return option(help, default, metavar=metavar, positional=True)
 
 
 def output(help: str, metavar: str, default: object = None) -> Any:
-    """The file or folder for results."""
+    """Make the option of the file or folder for results."""
     return option(help, default, names="-o --output", metavar=metavar)
 
 
 def flag(help: str, default: bool = False) -> Any:
-    """An option that is typed or not; with `--no-` in its name too where it is the default."""
+    """Make an option without a value; one that is on by default also has a `--no-` name."""
     return option(help, default)
 
 
@@ -63,19 +63,19 @@ def number(
     whole: bool = False,
     **more: Any,
 ) -> Any:
-    """An option that takes a number; `{}` in its help stands for the range."""
+    """Make an option that takes a number; `{}` in its help is replaced by the range."""
     words, unit = (help.replace("{}", in_words(allowed)), allowed.unit) if allowed else (help, "")
     parse = number_in(allowed, whole)
     return option(words, default, parse=parse, metavar=metavar or unit or "number", **more)
 
 
 def whole(help: str, allowed: Range, default: int | None = None, metavar: str = "count") -> Any:
-    """An option that takes a whole number; 1e6 is one."""
+    """Make an option that takes a whole number, such as 1e6."""
     return number(help, allowed, default, metavar, whole=True)
 
 
 def seeded(what: str) -> Any:
-    """A seed, 32 bits: larger ones would start other streams in a float32 Python session."""
+    """Make the option of a seed of 32 bits: larger ones give other streams in a float32 session."""
     return whole(f"{{}}; equal seeds give equal {what}", Range(0, 2**32 - 1), 0, "number")
 
 
@@ -85,7 +85,7 @@ def key_of(seed: int) -> jax.Array:
 
 
 def choice(help: str, known: Iterable[str], default: str | None = None, **more: Any) -> Any:
-    """An option that takes one of the known names, which its help begins with."""
+    """Make an option that takes one of the known names, with which its help begins."""
     words = f"{', '.join(known)}: {help}"
     return option(words, default, parse=one_of(*known), metavar="name", **more)
 
@@ -102,9 +102,11 @@ class Group:
     A subclass states the heading of its options in the help, `class Iris(Group, panel="Iris")`.
 
     Attributes:
-        ONLY_WITH: An option that means nothing unless another of the group has one of these values,
-            or with none given any; to type it then is an error.
-        typed: The options that stand on the command line, as against defaults and a file's values.
+        PANEL: Heading of the options in the help.
+        ONLY_WITH: Options that apply only if another option of the group has one of these values
+            (any value if there are none); otherwise it is an error to type them.
+        typed: The options that were typed on the command line, rather than set by defaults or a
+            file.
     """
 
     PANEL: ClassVar[str] = ""
@@ -124,7 +126,7 @@ class Group:
                 )
 
     def applies(self, name: str) -> bool:
-        """Whether an option means something beside the others."""
+        """Return whether an option applies, given the others."""
         if name not in self.ONLY_WITH:
             return True
         other, values = self.ONLY_WITH[name]
@@ -132,39 +134,39 @@ class Group:
 
     def settings(self) -> dict[str, Any]:
         """Return the options that apply and are set, from which the group can be made again."""
-        found = {name: getattr(self, name) for name in _options_of(type(self))}
-        return {n: v for n, v in found.items() if v is not None and self.applies(n)}
+        values = {name: getattr(self, name) for name in _options_of(type(self))}
+        return {n: v for n, v in values.items() if v is not None and self.applies(n)}
 
 
 def grouped(function: Callable[..., None]) -> Callable[..., None]:
-    """A command for typer of a function whose parameters are `Group`s.
+    """Make a command for typer from a function whose parameters are `Group`s.
 
-    typer is shown every field of a group as an option under the group's heading; the function gets
-    the groups made of their values.
+    Typer gets every field of a group as an option under the group's heading; the function gets the
+    groups made of their values.
     """
     groups = {n: p.annotation for n, p in inspect.signature(function).parameters.items()}
-    shown = [inspect.Parameter("context", _KEYWORD, annotation=typer.Context)]
-    shown += [p for group in groups.values() for p in _options_of(group).values()]
+    parameters = [inspect.Parameter("context", _KEYWORD, annotation=typer.Context)]
+    parameters += [p for group in groups.values() for p in _options_of(group).values()]
 
     @functools.wraps(function)
-    def command(context, **given):
-        typed = frozenset(n for n in given if _is_typed(context, n))
-        made = {}
+    def command(context, **values):
+        typed = frozenset(n for n in values if _is_typed(context, n))
+        arguments = {}
         for name, group in groups.items():
-            fields = {n: given[n] for n in _options_of(group)}
-            made[name] = group(**fields, typed=typed & frozenset(fields))
-        function(**made)
+            fields = {n: values[n] for n in _options_of(group)}
+            arguments[name] = group(**fields, typed=typed & frozenset(fields))
+        function(**arguments)
 
     # typer reads a command's options from these two.
-    command.__signature__ = inspect.Signature(shown)  # pyright: ignore[reportAttributeAccessIssue]
-    command.__annotations__ = {parameter.name: parameter.annotation for parameter in shown}
+    command.__signature__ = inspect.Signature(parameters)  # pyright: ignore[reportAttributeAccessIssue]
+    command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return command
 
 
 def _overrule(names: tuple[str, ...]) -> Callable[..., Any]:
-    """Callback of an option that, typed, sets what a file would set by these names."""
+    """Make the callback of an option that, if typed, replaces a file's settings of these names."""
 
-    # typer goes through the options that were typed before those that take defaults.
+    # Typer processes the options that were typed before those that take defaults.
     def callback(context, param, value):
         if _is_typed(context, param.name) and value is not False:
             for name in names:
@@ -185,7 +187,7 @@ def notice(text: str) -> None:
 
 
 def dashed(name: str) -> str:
-    """An option as it is typed."""
+    """Return an option's name as it is typed."""
     return f"--{name.replace('_', '-')}"
 
 
@@ -194,37 +196,37 @@ _KEYWORD = inspect.Parameter.KEYWORD_ONLY
 
 @functools.cache
 def _options_of(group: type[Group]) -> dict[str, inspect.Parameter]:
-    """Fields that are options, as typer reads them."""
-    hints, found = typing.get_type_hints(group), {}
+    """Return the fields that are options, as parameters for typer."""
+    hints, options = typing.get_type_hints(group), {}
     for field in dataclasses.fields(group):
         if field.name == "typed":
             continue
-        kind, shown = hints[field.name], dict(field.metadata)
-        kinds, names = (kind, *typing.get_args(kind)), shown.pop("names")
-        if shown.pop("positional", False):
-            info = typer.Argument(show_default=False, **shown)
+        kind, metadata = hints[field.name], dict(field.metadata)
+        kinds, names = (kind, *typing.get_args(kind)), metadata.pop("names")
+        if metadata.pop("positional", False):
+            info = typer.Argument(show_default=False, **metadata)
         else:
             if bool in kinds:
                 off = f"/--no-{dashed(field.name)[2:]}" if field.default else ""
-                names, shown["metavar"] = names or (dashed(field.name) + off,), ""
-            if parse := shown.pop("parse", _path if Path in kinds else None):
-                several = any(typing.get_origin(k) is list for k in kinds)
-                kind, shown["parser"] = list[Any] if several else Any, _parser(parse)
-            if "overrules" in shown:
-                shown["callback"] = _overrule(shown.pop("overrules"))
-            info = typer.Option(*names, rich_help_panel=group.PANEL, **shown)
-        must = field.default is dataclasses.MISSING
-        default = inspect.Parameter.empty if must else field.default
-        found[field.name] = inspect.Parameter(
+                names, metadata["metavar"] = names or (dashed(field.name) + off,), ""
+            if parse := metadata.pop("parse", _path if Path in kinds else None):
+                is_repeatable = any(typing.get_origin(k) is list for k in kinds)
+                kind, metadata["parser"] = list[Any] if is_repeatable else Any, _parser(parse)
+            if "overrules" in metadata:
+                metadata["callback"] = _overrule(metadata.pop("overrules"))
+            info = typer.Option(*names, rich_help_panel=group.PANEL, **metadata)
+        is_required = field.default is dataclasses.MISSING
+        default = inspect.Parameter.empty if is_required else field.default
+        options[field.name] = inspect.Parameter(
             field.name, _KEYWORD, default=default, annotation=Annotated[kind, info]
         )
-    return found
+    return options
 
 
 def _parser(parse: Callable[[str], Any]) -> Callable[[Any], Any]:
     def read(text):
         try:
-            return parse(str(text))  # defaults come as values
+            return parse(str(text))  # a default is a value, not a text
         except ValueError as error:
             raise typer.BadParameter(str(error)) from None
 
@@ -232,14 +234,14 @@ def _parser(parse: Callable[[str], Any]) -> Callable[[Any], Any]:
 
 
 def _path(text: str) -> Path:
-    """A file or folder; `pathlib` would take an empty text for the working folder."""
+    """Parse a path; `pathlib` would take an empty text for the working folder."""
     if not text:
         raise ValueError("no file or folder is named")
     return Path(text)
 
 
 class Grid(str):
-    """Wavelengths as they are written, without spaces.
+    """The text of a grid of wavelengths, without spaces.
 
     Attributes:
         values: Wavelengths, nm.
@@ -250,14 +252,14 @@ class Grid(str):
     def __new__(cls, text: str) -> "Grid":
         """Raises `ValueError` for a text that is no grid."""
         grid = super().__new__(cls, "".join(text.split()))
-        wrong = f"{str(grid)!r} is not a grid; give start:stop:step or a list 450,550,650, in nm"
-        found, ranged = numbers(grid.replace(":", ",")), ":" in grid
-        if not found or (ranged and ("," in grid or len(found) != 3)):
-            raise ValueError(wrong)
-        if not ranged:
-            grid.values = np.array(found)
+        message = f"{str(grid)!r} is not a grid; give start:stop:step or a list 450,550,650, in nm"
+        values, is_range = numbers(grid.replace(":", ",")), ":" in grid
+        if not values or (is_range and ("," in grid or len(values) != 3)):
+            raise ValueError(message)
+        if not is_range:
+            grid.values = np.array(values)
             return grid
-        start, stop, step = found
+        start, stop, step = values
         if step > 0 and (stop - start) / step >= _MOST_WAVELENGTHS:
             raise ValueError(f"{str(grid)!r} has more than {_MOST_WAVELENGTHS} wavelengths")
         grid.values = ij.wavelengths(start, stop, step)
@@ -265,7 +267,7 @@ class Grid(str):
 
 
 def numbers(text: str) -> list[float]:
-    """Numbers separated by commas; none where a part is not a number."""
+    """Parse numbers separated by commas; none if a part is not a number."""
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:
@@ -273,7 +275,7 @@ def numbers(text: str) -> list[float]:
 
 
 def number_in(allowed: Range | None = None, whole: bool = False) -> Callable[[str], Any]:
-    """Parser of numbers in a range, or of any; of whole ones to `int`."""
+    """Make a parser of numbers, in a range if there is one, and of whole ones to `int`."""
     within = "" if allowed is None else f" in {allowed}"
 
     def parse(text: str) -> float:
@@ -291,7 +293,7 @@ def number_in(allowed: Range | None = None, whole: bool = False) -> Callable[[st
 
 
 def one_of(*names: str) -> Callable[[str], str]:
-    """Parser of names."""
+    """Make a parser of names."""
 
     def parse(text: str) -> str:
         if text not in names:
@@ -302,7 +304,7 @@ def one_of(*names: str) -> Callable[[str], str]:
 
 
 def number_or(word: str, allowed: Range) -> Callable[[str], float | str]:
-    """Parser of numbers in a range, and of a word in place of one."""
+    """Make a parser of numbers in a range, or of a word in place of one."""
 
     def parse(text: str) -> float | str:
         if text == word:
@@ -316,11 +318,11 @@ def number_or(word: str, allowed: Range) -> Callable[[str], float | str]:
 
 
 cosine: Callable[[str], float | str] = number_or(ij.DIFFUSE, Range(0, 1))
-"""Parses a cosine of incidence, or the word for light from everywhere."""
+"""Parser of a cosine of incidence, or of the word for diffuse light."""
 
 
 def in_words(allowed: Range) -> str:
-    """A range in the words of the help."""
+    """Describe a range in the words of the help."""
     low, high = (f"{limit:.10g}" for limit in allowed[:2])
     if allowed.above:
         return f"above {low}, at most {high}" if math.isfinite(allowed.high) else f"above {low}"

@@ -15,11 +15,11 @@ from tqdm import tqdm
 
 from irisjax import io
 from irisjax.cli import options as opt
-from irisjax.cli.compiled import kept_tables
-from irisjax.cli.files import check_folder, check_is_folder, png_of
+from irisjax.cli.compiled import cached_tables
+from irisjax.cli.files import check_folder, check_is_folder, encode_picture
 from irisjax.cli.paints import PaintOptions, check_no_seed
-from irisjax.cli.render import sheet
-from irisjax.cli.scenes import changed, environment_of
+from irisjax.cli.render import contact_sheet
+from irisjax.cli.scenes import change_scene, find_environment
 from irisjax.export.mesh import FORMATS, painting_files
 from irisjax.io.recipes import Recipe, recipe_text
 from irisjax.io.sections import json_of
@@ -45,10 +45,10 @@ _SEARCH = 300  # evaluations of a match at most
 _PICTURES = 12  # pictures of the progression at most
 _SMALL = 320, 240
 _COATS, _MESHES, _TISSUE = "coats", "meshes", "tissue"  # folders of a painted eye
-# Files of a painted eye that only some eyes have, in its folder.
+# Names of files in the folder of a painted eye that only some eyes have.
 _NAMES = [f"[0-9]*_{component}" for component in (*COMPONENTS, SCAN)]
 _BODIES = itertools.product((*_NAMES, "cornea", "white"), (*FORMATS, "mtl", "png"))
-_OF_AN_EYE = (
+_STALE_PATTERNS = (
     "match.png",
     "match.json",
     "retouch-[0-9]*.png",
@@ -59,8 +59,7 @@ _OF_AN_EYE = (
 )
 
 
-# A recipe, pictures of its coats that are scans by their files, contents of files to write beside
-# it, and lines to print.
+# A recipe, its scans by their files, contents of further files to write, and lines to print.
 _Prepared = tuple[Recipe, dict[str, np.ndarray], dict[str, bytes], list[str]]
 
 
@@ -129,101 +128,105 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
     """
     folder = results.output
     check_folder(folder, "recipe.toml", "a painted eye", results.overwrite)
-    asked = (_COATS, True), (_MESHES, results.meshes is not None), (_TISSUE, results.tissue)
-    for name in (name for name, wanted in asked if wanted):
+    folders = (_COATS, True), (_MESHES, results.meshes is not None), (_TISSUE, results.tissue)
+    for name in (name for name, wanted in folders if wanted):
         check_is_folder(folder / name)
-    # Refused before the work rather than after it.
-    changed(Scene(Iris()), picture.light, picture.size, picture.camera)
-    recipe, scans, files, messages = _prepared(subject, picture.texels, folder)
-    # Half the memory of double precision, and the same picture to a few levels of 255.
+    # Wrong options are refused before the work.
+    change_scene(Scene(Iris()), picture.light, picture.size, picture.camera)
+    recipe, scans, files, messages = _prepare(subject, picture.texels, folder)
+    # Single precision takes half the memory, for the same picture to a few levels of 255.
     jax.config.update("jax_enable_x64", False)
     eye = recipe.eye()
     with subject.in_file():
         painting = painted(recipe.coats, recipe.mixer(), eye, size=picture.texels, scans=scans)
     scene = studio(painting, eye)
-    scene = changed(scene, picture.light, picture.size, picture.camera)
+    scene = change_scene(scene, picture.light, picture.size, picture.camera)
     if picture.environment is not None:
-        around = environment_of(picture.environment)
-        scene = scene.replace(environment=around, lights=scene.lights if picture.light else None)
+        environment = find_environment(picture.environment)
+        scene = scene.replace(
+            environment=environment, lights=scene.lights if picture.light else None
+        )
     pictures = [f"{_COATS}/{coat.name.replace(' ', '_')}.png" for coat in painting.coats]
-    made = {} if results.meshes is None else painting_files(painting, results.meshes, eye=eye)
-    bodies = {f"{_MESHES}/{name}": data for name, data in made.items()}
-    own = ("recipe.toml", "eye.png", "progression.png", *pictures, *bodies)
-    _check_spared(recipe, [folder / name for name in own])
+    mesh_files = {} if results.meshes is None else painting_files(painting, results.meshes, eye=eye)
+    bodies = {f"{_MESHES}/{name}": data for name, data in mesh_files.items()}
+    eye_files = ("recipe.toml", "eye.png", "progression.png", *pictures, *bodies)
+    _check_inputs_kept(recipe, [folder / name for name in eye_files])
     files |= {**bodies, "recipe.toml": recipe_text(recipe.moved(folder)).encode()}
     coats = (over(1.0, c.opacity[..., None], c.colour, 1.0) for c in painting.coats)
-    drawn = (*_drawn(scene, painting, picture), *coats)
-    for name, linear in zip(("eye.png", "progression.png", *pictures), drawn, strict=True):
+    linear_pictures = (*_draw_pictures(scene, painting, picture), *coats)
+    for name, linear in zip(
+        ("eye.png", "progression.png", *pictures), linear_pictures, strict=True
+    ):
         encoded = np.asarray(srgb_encode(linear))
-        files[name] = png_of(folder / name, encoded, "painted and simulated by irisjax")
+        files[name] = encode_picture(folder / name, encoded, "painted and simulated by irisjax")
     if results.tissue:
-        alike = nearest_tissue(painting, eye)
-        files |= {f"{_TISSUE}/{name}": data for name, data in tissue_files(alike, eye).items()}
+        tissue = nearest_tissue(painting, eye)
+        files |= {f"{_TISSUE}/{name}": data for name, data in tissue_files(tissue, eye).items()}
         messages.append(
-            f"mean colour difference (95 % below) of the nearest tissue: {alike.left.mean:.1f} "
-            f"({alike.left.q95:.1f})"
+            f"mean colour difference (95 % below) of the nearest tissue: {tissue.left.mean:.1f} "
+            f"({tissue.left.q95:.1f})"
         )
     written = {folder / name: data for name, data in files.items()}
     for path in {path.parent for path in written}:
         path.mkdir(parents=True, exist_ok=True)
     io.write_together(written)
-    _remove_left_over(folder, recipe, written)
+    _remove_stale(folder, recipe, written)
     print(*messages, f"{len(painting.coats)} coats; written: {folder}", sep="\n")
 
 
-def _prepared(subject: PaintedEye, size: int, folder: Path) -> _Prepared:
+def _prepare(subject: PaintedEye, size: int, folder: Path) -> _Prepared:
     """Return the recipe, matched to a target if there is one."""
-    given = subject.recipe is not None or subject.type is not None
-    recipe = subject.read(subject.seed) if given else None
+    has_recipe = subject.recipe is not None or subject.type is not None
+    recipe = subject.read(subject.seed) if has_recipe else None
     if subject.match is None:
         assert recipe is not None
         with subject.in_file():
             return recipe, recipe.scans(), {}, []
-    asked = subject.pupil_radius or (PUPIL_RADIUS if recipe is None else recipe.pupil_radius)
-    target = read_target(subject.match, asked / LIMBUS)
-    if subject.pupil_radius is not None and not np.isclose(target.pupil * LIMBUS, asked):
+    pupil_radius = subject.pupil_radius or (PUPIL_RADIUS if recipe is None else recipe.pupil_radius)
+    target = read_target(subject.match, pupil_radius / LIMBUS)
+    if subject.pupil_radius is not None and not np.isclose(target.pupil * LIMBUS, pupil_radius):
         raise ValueError(f"--pupil-radius: {subject.match} has a pupil of its own")
     if recipe is None:
         recipe = subject.changed(_nearest_colour(target, subject.seed))
     count = _RETOUCHES if subject.retouch is None else subject.retouch
     with subject.in_file():
-        return _matched(target, recipe, folder, count, size, jax.random.key(subject.seed))
+        return _match(target, recipe, folder, count, size, jax.random.key(subject.seed))
 
 
 def _nearest_colour(target: Target, seed: int) -> Recipe:
-    """The default coats of the colour of eye that differs least from the target, unfitted."""
-    left = {}
+    """Return the default coats of the eye colour that differs least from the target."""
+    by_difference = {}
     for colour in EYE_COLOURS:
         recipe = Recipe(coats_of("detail", colour, seed=seed), pupil_radius=target.pupil * LIMBUS)
         eye = recipe.eye()
         painting = painted(recipe.coats, recipe.mixer(), eye, size=128)
-        seen = texture_of(painting, eye, target.known.shape)
-        left[difference(seen, target.texture, target.known).mean] = recipe
-    return left[min(left)]
+        texture = texture_of(painting, eye, target.known.shape)
+        by_difference[difference(texture, target.texture, target.known).mean] = recipe
+    return by_difference[min(by_difference)]
 
 
-def _matched(
+def _match(
     target: Target, recipe: Recipe, folder: Path, count: int, size: int, key: jax.Array
 ) -> _Prepared:
-    """Match a recipe to a target, with `count` coats on top whose scans go to `folder`."""
+    """Match a recipe to a target, and add `count` coats whose scans are written to `folder`."""
     recipe = recipe._replace(pupil_radius=target.pupil * LIMBUS)
     eye, mixer, scans, known = recipe.eye(), recipe.mixer(), recipe.scans(), target.known
-    given = mixer, eye, target.texture
-    same = {"scans": scans, "size": size}
-    fitted = match(recipe.coats, *given, known, **same, max_steps=_SEARCH, key=key)
+    arguments = mixer, eye, target.texture
+    options = {"scans": scans, "size": size}
+    fitted = match(recipe.coats, *arguments, known, **options, max_steps=_SEARCH, key=key)
     if not fitted.converged:
         opt.notice(f"the match was stopped after {fitted.steps} steps")
-    there = Path(os.path.relpath(folder, recipe.folder)).as_posix()
-    prefix = posixpath.normpath(posixpath.join(there, "retouch-"))
-    # Hidden texels have the mean of their radius, and are painted so.
-    more = retouch(fitted.recipes, *given, count=count, prefix=prefix, **same)
-    whole = recipe._replace(coats=(*fitted.recipes, *more.recipes))
-    seen = [
-        texture_of(painted(some, mixer, eye, size=size, scans=more.scans), eye, known.shape)
-        for some in (fitted.recipes, whole.coats)
+    relative = Path(os.path.relpath(folder, recipe.folder)).as_posix()
+    prefix = posixpath.normpath(posixpath.join(relative, "retouch-"))
+    # Hidden texels are painted with the mean of their radius.
+    retouched = retouch(fitted.recipes, *arguments, count=count, prefix=prefix, **options)
+    combined = recipe._replace(coats=(*fitted.recipes, *retouched.recipes))
+    textures = [
+        texture_of(painted(coats, mixer, eye, size=size, scans=retouched.scans), eye, known.shape)
+        for coats in (fitted.recipes, combined.coats)
     ]
-    last = difference(seen[1], target.texture, known)
-    steps = {"before": fitted.before, "matched": fitted.after, "retouched": last}
+    final = difference(textures[1], target.texture, known)
+    steps = {"before": fitted.before, "matched": fitted.after, "retouched": final}
     measure = {"measure": "CIE 1976 dE*ab, D65"}
     summary = {
         "target": target.name,
@@ -232,69 +235,73 @@ def _matched(
         "converged": fitted.converged,
     }
     flat = []  # the textures as the iris laid flat
-    for texture in (target.texture, *seen):
+    for texture in (target.texture, *textures):
         row, column, on = rolled(texture.shape[:2], eye, size)
         flat.append(np.where(on[..., None], np.asarray(srgb_encode(texture))[row, column], 0))
     pictures = {"match.png": np.concatenate(flat, 1)}
-    for name in more.scans.keys() - scans.keys():
-        pictures[posixpath.basename(name)] = np.repeat(more.scans[name][..., None], 3, 2)
+    for name in retouched.scans.keys() - scans.keys():
+        pictures[posixpath.basename(name)] = np.repeat(retouched.scans[name][..., None], 3, 2)
     remark = "painted by irisjax to match a target"
-    files = {name: png_of(folder / name, pixels, remark) for name, pixels in pictures.items()}
+    files = {
+        name: encode_picture(folder / name, pixels, remark) for name, pixels in pictures.items()
+    }
     files["match.json"] = json_of(summary, 17)
-    words = "as it was", "matched", f"with {len(more.recipes)} coats on top"
-    said = "; ".join(
-        f"{w} {d.mean:.1f} ({d.q95:.1f})" for w, d in zip(words, steps.values(), strict=True)
+    stages = "as it was", "matched", f"with {len(retouched.recipes)} coats on top"
+    differences = "; ".join(
+        f"{w} {d.mean:.1f} ({d.q95:.1f})" for w, d in zip(stages, steps.values(), strict=True)
     )
-    message = f"mean colour difference (95 % below), CIE 1976, flat and in plain light: {said}"
-    return whole, more.scans, files, [message]
+    message = (
+        f"mean colour difference (95 % below), CIE 1976, flat and in plain light: {differences}"
+    )
+    return combined, retouched.scans, files, [message]
 
 
-def _drawn(
+def _draw_pictures(
     scene: Scene, painting: Painting, picture: PaintedPicture
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The picture and the sheet of its progress, linear; most of the memory is freed on return."""
+    """Draw the linear picture and the sheet of its progress; most memory is freed on return."""
     painted_by = partial(Painted, as_printed=picture.shadow == "as-printed")
-    shown = _shown(len(painting.coats))
-    with tqdm(total=1 + len(shown), unit="picture", disable=None) as bar:
+    counts = _progress_counts(len(painting.coats))
+    with tqdm(total=1 + len(counts), unit="picture", disable=None) as bar:
         scene = scene.replace(integrator=painted_by(painting=painting))
-        tables = kept_tables(scene)
-        parts = draw_bands(scene, tables, samples=picture.samples)
-        whole_eye = np.concatenate([band.pixels for band in parts])
+        tables = cached_tables(scene)
+        bands = draw_bands(scene, tables, samples=picture.samples)
+        whole_eye = np.concatenate([band.pixels for band in bands])
         bar.update()
         small, steps = scene.replace(camera=replace(scene.camera, size=_SMALL)), []
-        for count in shown:
-            part = painted_by(painting=Painting(painting.coats[:count], painting.profile))
-            steps.append(np.asarray(draw(small.replace(integrator=part), tables)))
+        for count in counts:
+            integrator = painted_by(painting=Painting(painting.coats[:count], painting.profile))
+            steps.append(np.asarray(draw(small.replace(integrator=integrator), tables)))
             bar.update()
-    return whole_eye, sheet(steps)
+    return whole_eye, contact_sheet(steps)
 
 
-def _shown(count: int) -> list[int]:
-    """Numbers of coats, up to `count`, after which the progress is shown."""
+def _progress_counts(count: int) -> list[int]:
+    """Choose the numbers of coats, up to `count`, after which the progress is shown."""
     return sorted({round(1 + i * (count - 1) / (_PICTURES - 1)) for i in range(_PICTURES)})
 
 
-def _check_spared(recipe: Recipe, written: Iterable[Path]) -> None:
+def _check_inputs_kept(recipe: Recipe, written: Iterable[Path]) -> None:
     """Raise `ValueError` where an artist's scan or paints of the recipe would be overwritten."""
-    places = {os.path.realpath(path): path for path in written}
-    for path in _needed(recipe) & places.keys():
+    targets = {os.path.realpath(path): path for path in written}
+    for path in _input_files(recipe) & targets.keys():
         raise ValueError(
-            f"{places[path]}: the recipe paints with this file, which would be overwritten; "
+            f"{targets[path]}: the recipe paints with this file, which would be overwritten; "
             "give another folder"
         )
 
 
-def _remove_left_over(folder: Path, recipe: Recipe, written: Iterable[Path]) -> None:
+def _remove_stale(folder: Path, recipe: Recipe, written: Iterable[Path]) -> None:
     """Remove files of a replaced eye that are neither `written` now nor used by the recipe."""
-    kept = {os.path.realpath(path) for path in written} | _needed(recipe)
-    for path in itertools.chain(*(folder.glob(pattern) for pattern in _OF_AN_EYE)):
-        if os.path.realpath(path) not in kept:
+    spared = {os.path.realpath(path) for path in written} | _input_files(recipe)
+    for path in itertools.chain(*(folder.glob(pattern) for pattern in _STALE_PATTERNS)):
+        if os.path.realpath(path) not in spared:
             path.unlink()
     for name in (_COATS, _MESHES, _TISSUE):
         if (folder / name).is_dir() and not any((folder / name).iterdir()):
             (folder / name).rmdir()
 
 
-def _needed(recipe: Recipe) -> set[str]:
+def _input_files(recipe: Recipe) -> set[str]:
     names = recipe.scan_files() | {name for name in (recipe.paints,) if name is not None}
     return {os.path.realpath(recipe.folder / name) for name in names}

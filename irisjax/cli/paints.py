@@ -18,19 +18,21 @@ class PaintOptions(opt.Group, panel="What"):
     recipe: Path | None = opt.argument("coats of paint (TOML)", "RECIPE")
 
     def painted(self, matched: bool = False) -> bool:
-        """Whether a painted eye is asked for: by recipe, by type or, if `matched`, by neither."""
+        """Return whether a painted eye is requested: by recipe, by type or, if `matched`, by
+        neither.
+        """
         if self.recipe is not None and self.type is not None:
             raise ValueError("give a recipe or --type, one of them")
         if (self.type is None) != (self.colour is None):
             raise ValueError("--type and --colour go together")
-        found = self.recipe is not None or self.type is not None or matched
+        is_painted = self.recipe is not None or self.type is not None or matched
         for name in ("mixing", "pupil_radius"):
-            if getattr(self, name) is not None and not found:
+            if getattr(self, name) is not None and not is_painted:
                 raise ValueError(f"{opt.dashed(name)} is of a painted eye: give a recipe or --type")
-        return found
+        return is_painted
 
     def read(self, seed: int) -> Recipe:
-        """The recipe of a file, or of the type by `seed`, with the options' changes."""
+        """Read the recipe of a file, or make one of the type by `seed`; apply the changes."""
         if self.recipe is not None:
             return self.changed(read_recipe(self.recipe))
         assert self.type is not None
@@ -38,10 +40,10 @@ class PaintOptions(opt.Group, panel="What"):
         return self.changed(Recipe(coats(self.type, self.colour, seed=seed)))
 
     def changed(self, recipe: Recipe) -> Recipe:
-        """A recipe with the options' changes."""
+        """Apply the options' changes to a recipe."""
         if self.mixing is not None:
-            kept = recipe.paints if self.mixing == "kubelka-munk" else None
-            recipe = recipe._replace(mixing=self.mixing, paints=kept)
+            paints = recipe.paints if self.mixing == "kubelka-munk" else None
+            recipe = recipe._replace(mixing=self.mixing, paints=paints)
         if self.pupil_radius is not None:
             recipe = recipe._replace(pupil_radius=self.pupil_radius)
         return recipe

@@ -12,8 +12,8 @@ from tqdm import tqdm
 
 from irisjax import io
 from irisjax.cli import options as opt
-from irisjax.cli.compiled import kept_tables
-from irisjax.cli.scenes import EyeWithPupil, changed
+from irisjax.cli.compiled import cached_tables
+from irisjax.cli.scenes import EyeWithPupil, change_scene
 from irisjax.measure.colour import agx_encode, srgb_encode
 from irisjax.numerics.checks import Range
 from irisjax.render.illumination import Illumination, reflects_inside
@@ -133,7 +133,7 @@ def render_command(view: ViewOptions, picture: PictureOptions, files: PictureFil
             "--spectral needs lamps: an environment has colours, not spectra; give --light"
         )
     scene = view.scene_of(file, picture.integrator)
-    scene = changed(scene, view.light, picture.size, view.camera)
+    scene = change_scene(scene, view.light, picture.size, view.camera)
     tinted = scene.lights is not None and scene.lights.tint is not None
     if picture.spectral is not None and tinted:
         raise ValueError(
@@ -143,13 +143,13 @@ def render_command(view: ViewOptions, picture: PictureOptions, files: PictureFil
     if isinstance(exposure, str):
         exposure = exposure_of_white(scene)
     if picture.animate is not None:
-        _animated(scene, file, picture, exposure, output)
+        _render_movie(scene, file, picture, exposure, output)
     else:
-        _still(scene, picture, exposure, output)
+        _render_still(scene, picture, exposure, output)
 
 
-def left_out(scene: Scene) -> str | None:
-    """Return a sentence on light of a scene that its picture lacks; `None` if there is none."""
+def missing_light_warning(scene: Scene) -> str | None:
+    """Return a warning about light of a scene that its picture leaves out; `None` without any."""
     if not (scene.grazing() and reflects_inside(scene.eye)):
         return None
     return (
@@ -158,74 +158,71 @@ def left_out(scene: Scene) -> str | None:
     )
 
 
-def _still(scene: Scene, picture: PictureOptions, exposure: float, output: Path) -> None:
-    if (said := left_out(scene)) is not None:
-        opt.notice(f"WARNING: {output}: {said}")
+def _render_still(scene: Scene, picture: PictureOptions, exposure: float, output: Path) -> None:
+    if (warning := missing_light_warning(scene)) is not None:
+        opt.notice(f"WARNING: {output}: {warning}")
     wavelengths = None if picture.spectral is None else tuple(map(float, picture.spectral.values))
     scene = scene.replace(wavelengths=wavelengths)
     height = scene.camera.size[1]
     remark = f"simulated by irisjax; integrator {integrator_name(scene.integrator)}"
     names = ("R", "G", "B") if wavelengths is None else io.spectral_channels(wavelengths)
     with tqdm(desc="preparing", total=height, unit="row", disable=None) as progress:
-        parts = draw_bands(scene, kept_tables(scene), samples=picture.samples)
-        first = next(parts)
+        bands_left = draw_bands(scene, cached_tables(scene), samples=picture.samples)
+        first = next(bands_left)
         if first.error is not None:
             remark += f", response within {100 * first.error:.2g} %"
         progress.set_description("rendering")
 
         def bands():
-            for band in itertools.chain([first], parts):
+            for band in itertools.chain([first], bands_left):
                 yield band.pixels
                 progress.update(len(band.pixels))
 
-        pixels = _exposed(bands(), exposure, output)
+        pixels = _expose(bands(), exposure, output)
         if output.suffix == ".exr":
             io.write_exr(output, pixels, names, {"comments": remark}, rows=height)
         else:
-            encoded = map(_ENCODED[picture.tone], pixels)
+            encoded = map(_TONE_CURVES[picture.tone], pixels)
             clipped = io.write_png(output, encoded, bits=picture.bits, remark=remark, rows=height)
-            _tell_clipped(output, clipped, math.prod(scene.camera.size))
+            _warn_clipped(output, clipped, math.prod(scene.camera.size))
 
 
-def _animated(
+def _render_movie(
     scene: Scene, file: io.SceneFile, options: PictureOptions, exposure: float, output: Path
 ) -> None:
     change, count = options.animate or "", options.frames or 24
     remark = f"simulated by irisjax; {change}, {count} frames"
-    pictures = frames(scene, change, count, kept_tables, file.with_pupil)
-    shown = tqdm(pictures, total=count, unit="frame", disable=None)
-    encoded = map(_ENCODED[options.tone], _exposed(shown, exposure, output))
+    pictures = animation_frames(scene, change, count, cached_tables, file.with_pupil)
+    counted = tqdm(pictures, total=count, unit="frame", disable=None)
+    encoded = map(_TONE_CURVES[options.tone], _expose(counted, exposure, output))
     if _is_sheet(output):
-        clipped = io.write_png(output, sheet(list(encoded)), remark=f"{remark} row by row")
+        clipped = io.write_png(output, contact_sheet(list(encoded)), remark=f"{remark} row by row")
     else:
         clipped = io.write_movie(output, encoded, remark=remark)
-    _tell_clipped(output, clipped, count * math.prod(scene.camera.size))
+    _warn_clipped(output, clipped, count * math.prod(scene.camera.size))
 
 
-def frames(
+def animation_frames(
     scene: Scene,
     change: str,
     count: int,
     tables_of: Callable[[Scene], Illumination | None] = Scene.tables,
     with_pupil: Callable[[Scene, float], Scene] = Scene.with_pupil,
 ) -> Iterator[np.ndarray]:
-    """Linear sRGB pictures of one round: there and back again, the last leads to the first."""
+    """Draw the linear sRGB pictures of a loop, in which a part of the scene changes and returns."""
 
-    def aside(s: float, most: float) -> tuple[float, float]:
-        return most * abs(s), 0.0 if s >= 0 else math.pi
+    def direction(s: float, largest: float) -> tuple[float, float]:
+        return largest * abs(s), 0.0 if s >= 0 else math.pi
 
     def lamp(s: float) -> Lights:
-        return Lights.distant(*aside(s, _TURN), illuminant=scene.illuminant)
+        return Lights.distant(*direction(s, _TURN), illuminant=scene.illuminant)
 
     swing = np.cos(2 * np.pi * np.arange(count) / count)  # 1 to −1 and back
     if change == "light":
         scene = scene.replace(lights=lamp(1.0), environment=None)
-    # The tables do not depend on what changes: the lamp stays below grazing.
-    scene, tables, view = (
-        prepare_scene(scene),
-        tables_of(scene),
-        project_visible(scene.eye, scene.camera),
-    )
+    # The tables serve all frames: the lamp stays below grazing.
+    scene, tables = prepare_scene(scene), tables_of(scene)
+    view = project_visible(scene.eye, scene.camera)
     texels = texture(view, scene)
     light = illuminate(view, texels, scene, tables)
     response = respond(scene)
@@ -239,7 +236,7 @@ def frames(
         elif change == "light":
             light = illuminate(view, texels, scene.replace(lights=lamp(s)), tables)
         elif change == "camera":
-            polar, azimuth = aside(s, _SWING)
+            polar, azimuth = direction(s, _SWING)
             camera = dataclasses.replace(scene.camera, polar=polar, azimuth=azimuth)
             view = project_visible(scene.eye, camera)
             texels = texture(view, scene)
@@ -252,16 +249,16 @@ def frames(
         yield np.asarray(shade(view, texels, light, response))
 
 
-def sheet(pictures: list[np.ndarray]) -> np.ndarray:
-    """All pictures side by side, as square as it goes, row by row."""
+def contact_sheet(pictures: list[np.ndarray]) -> np.ndarray:
+    """Arrange pictures row by row in a nearly square sheet."""
     columns = math.ceil(math.sqrt(len(pictures)))
     cells = [*pictures, *[np.zeros_like(pictures[0])] * (-len(pictures) % columns)]
     rows = (cells[i : i + columns] for i in range(0, len(cells), columns))
     return np.concatenate([np.concatenate(row, 1) for row in rows])
 
 
-def _exposed(pictures: Any, exposure: float, output: Path) -> Iterator[np.ndarray]:
-    """Multiply pictures by an exposure; warns in the end if all are black."""
+def _expose(pictures: Any, exposure: float, output: Path) -> Iterator[np.ndarray]:
+    """Multiply pictures by an exposure, and warn in the end if all are black."""
     lightest = 0.0
     for pixels in pictures:
         lightest = max(lightest, exposure * float(np.max(pixels)))
@@ -270,13 +267,13 @@ def _exposed(pictures: Any, exposure: float, output: Path) -> Iterator[np.ndarra
         opt.notice(f"{output}: the picture is black: no light falls on what the camera sees")
 
 
-def _tell_clipped(output: Path, clipped: int, count: int) -> None:
+def _warn_clipped(output: Path, clipped: int, count: int) -> None:
     if clipped:
         share = f"{100 * clipped / count:.2g} %"
         opt.notice(f"{output}: {clipped} pixels ({share}) out of sRGB's range are clipped")
 
 
-_ENCODED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+_TONE_CURVES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "none": lambda picture: np.asarray(srgb_encode(picture)),
     "agx": lambda picture: np.asarray(agx_encode(picture)),
 }

@@ -33,17 +33,19 @@ COLUMNS = (
 
 
 def progress_bar(quiet: bool = False) -> Any:
-    """A bar that counts steps on a terminal and says, before the first, what takes so long."""
+    """Make a bar that counts steps on a terminal; before the first it shows that JAX compiles."""
     from tqdm import tqdm
 
-    # Wrong input ends in one line: the bar is wiped until there are steps.
+    # Until there are steps the bar is erased at the end, so that wrong input ends in one line.
     bar = tqdm(unit="step", bar_format="{desc}", leave=False, disable=quiet or None)
     bar.set_description_str("compiling (quicker from the second run on) ...")
     return bar
 
 
-def counting(bar: Any, leave: bool) -> Callable[[int, str], None]:
-    """A function that shows a number of steps and a word on a `progress_bar`; `leave` it after."""
+def step_counter(bar: Any, leave: bool) -> Callable[[int, str], None]:
+    """Make a function that shows a number of steps and a word on a `progress_bar`, which stays
+    after the run if `leave`.
+    """
 
     def progress(steps: int, word: str) -> None:
         first = not bar.disable and bar.bar_format is not None
@@ -56,7 +58,7 @@ def counting(bar: Any, leave: bool) -> Callable[[int, str], None]:
     return progress
 
 
-def one(
+def report_eye(
     problem: Problem,
     folder: Path | None,
     sampler: Sampler,
@@ -66,45 +68,48 @@ def one(
     quiet: bool = False,
     draw: Callable[..., Later] = here,
 ) -> bool:
-    """Analyse one eye, print (unless `quiet`) and write into the folder, if there is one; whether
-    the chain is long enough. `resume` continues that in the folder.
+    """Analyse one eye, print the result (unless `quiet`) and write it into the folder, if there is
+    one; `resume` continues the folder's chain. Return whether the chain is long enough.
     """
     store = None if folder is None else folder / "chain.h5"
-    how = {"resume": resume, "walkers": sampler.walkers, "max_steps": sampler.max_steps}
-    progress = counting(bar, leave=True)
-    found = analyse(problem, store=store, progress=progress, key=sampler.key, **how)
-    first = sentences.process_lines(found.other)
-    lines = [*sentences.information_lines(found.information), *sentences.cautions(found)]
+    options = {"resume": resume, "walkers": sampler.walkers, "max_steps": sampler.max_steps}
+    progress = step_counter(bar, leave=True)
+    analysis = analyse(problem, store=store, progress=progress, key=sampler.key, **options)
+    process_lines = sentences.process_lines(analysis.other)
+    lines = [
+        *sentences.information_lines(analysis.information),
+        *sentences.result_warnings(analysis),
+    ]
     if folder is not None:
         bar.set_description_str("files")
-        score, error = _write(found, folder, [*first, *lines], sampler.key, draw)
-        compared = "compare it with that of another --process"
-        lines.append(f"predictive score {score:.1f} ± {error:.1f} (PSIS-LOO): {compared}")
+        score, error = _write(analysis, folder, [*process_lines, *lines], sampler.key, draw)
+        advice = "compare it with that of another --process"
+        lines.append(f"predictive score {score:.1f} ± {error:.1f} (PSIS-LOO): {advice}")
     bar.close()
     if not quiet:
-        _print(found, first, lines)
-    return found.chains.converged
+        _print(analysis, process_lines, lines)
+    return analysis.chains.converged
 
 
-def _summary(found: Analysis) -> str:
-    """Return the summary as CSV, with what the other process makes of the pigments."""
-    own, other = (option_of(p) for p in (found.problem.process, found.other.process))
+def _summary(analysis: Analysis) -> str:
+    """Return the summary as CSV, with the pigments by the other process."""
+    process, other = (option_of(p) for p in (analysis.problem.process, analysis.other.process))
     rows = []
-    for row in found.rows:
-        moved, cells = found.other.moved.get(row.parameter), [""] * 5
+    for row in analysis.rows:
+        moved, cells = analysis.other.moved.get(row.parameter), [""] * 5
         if moved is not None:
             cells = [other, *(f"{x:.6g}" for x in moved.other), "yes" if moved.differs else "no"]
-        rows.append([row.parameter, row.unit, *(f"{x:.6g}" for x in row[2:]), own, *cells])
+        rows.append([row.parameter, row.unit, *(f"{x:.6g}" for x in row[2:]), process, *cells])
     return csv_of([COLUMNS, *rows])
 
 
-def shape_of(seen: Observation) -> tuple[str, str, bool, np.ndarray, np.ndarray]:
-    """Return what figures show of a measurement."""
-    grid, values = np.asarray(seen.wavelengths), np.asarray(seen.values)
-    return seen.name, seen.quantity, seen.is_colour, grid, values
+def figure_data(observation: Observation) -> tuple[str, str, bool, np.ndarray, np.ndarray]:
+    """Return a measurement's data for figures: name, quantity, kind, wavelengths and values."""
+    grid, values = np.asarray(observation.wavelengths), np.asarray(observation.values)
+    return observation.name, observation.quantity, observation.is_colour, grid, values
 
 
-def labelled(name: str, between: str = " ") -> str:
+def label_with_unit(name: str, between: str = " ") -> str:
     """Return a parameter's name with its unit."""
     return f"{name}{between}({unit_of(name)})" if unit_of(name) else name
 
@@ -117,8 +122,8 @@ def print_table(
     title: str | None = None,
     dispensable: Iterable[str] = (),
 ) -> None:
-    """Print a table of texts between lines. In a pipe a line is as long as it is; on a terminal
-    that is too narrow the `dispensable` columns are left out, one after the other.
+    """Print a table of texts between lines. On a terminal that is too narrow, `dispensable` columns
+    are left out one by one; in a pipe lines may have any length.
     """
     from rich.console import Console
     from rich.table import Table
@@ -144,35 +149,38 @@ def print_table(
 
 
 def _write(
-    found: Analysis, folder: Path, lines: list[str], key: jax.Array, draw: Callable[..., Later]
+    analysis: Analysis, folder: Path, lines: list[str], key: jax.Array, draw: Callable[..., Later]
 ) -> tuple[float, float]:
-    """Write all files; returns the predictive score and its error."""
-    problem, chains = found.problem, found.chains
-    seen = problem.observations
+    """Write all files; return the predictive score and its error."""
+    problem, chains = analysis.problem, analysis.chains
+    observations = problem.observations
     simulated, models, *_ = predictive(problem, chains, key=jax.random.fold_in(key, 3))
-    shapes = [(f"{name}, by {problem.process.name}", *rest) for name, *rest in map(shape_of, seen)]
-    # They are drawn while the rest is computed.
+    shapes = [
+        (f"{name}, by {problem.process.name}", *rest)
+        for name, *rest in map(figure_data, observations)
+    ]
+    # Figures are drawn while the rest is computed.
     pictures = {"fit.png": draw("fit_figure", shapes, list(simulated), list(models))}
-    shown = [n for n in problem.free if kind(n) not in ("gain", "noise")]
-    if len(shown) > 1:
+    names = [n for n in problem.free if kind(n) not in ("gain", "noise")]
+    if len(names) > 1:
         values = reported(problem, chains.flat)
-        values = {labelled(n, "\n"): values[n] for n in shown}
+        values = {label_with_unit(n, "\n"): values[n] for n in names}
         pictures["corner.png"] = draw("corner_figure", values)
     groups = write_groups(folder, problem, chains, lines, key)
-    files = {folder / "summary.csv": _summary(found).encode()}
+    files = {folder / "summary.csv": _summary(analysis).encode()}
     io.write_together(files | {folder / name: picture() for name, picture in pictures.items()})
-    each = [array for _, array in groups.arrays["log_likelihood"].values()]
-    likelihoods = np.concatenate(each, axis=-1)
+    log_likelihoods = [array for _, array in groups.arrays["log_likelihood"].values()]
+    likelihoods = np.concatenate(log_likelihoods, axis=-1)
     return predictive_score(likelihoods, chains.ess_bulk.mean() / chains.z[..., 0].size)
 
 
 def write_groups(
     folder: Path, problem: Problem, chains: Chains, lines: list[str], key: jax.Array
 ) -> ArvizGroups:
-    """Write draws into the folder, in ArviZ's groups, which are returned."""
+    """Write draws into the folder in ArviZ's groups, and return these."""
     groups = arviz_groups(problem, chains, key=key)
     priors = zip(problem.free, problem.priors, strict=True)
-    about = {
+    attributes = {
         "converged": str(chains.converged),
         "steps": str(chains.steps),
         "every": str(groups.every),
@@ -182,18 +190,19 @@ def write_groups(
         "irisjax": ij.__version__,
         "says": " | ".join(lines),
     }
-    io.write_posterior(folder / "posterior.nc", groups.arrays, groups.coordinates, about)
+    io.write_posterior(folder / "posterior.nc", groups.arrays, groups.coordinates, attributes)
     return groups
 
 
-def _print(found: Analysis, first: list[str], lines: list[str]) -> None:
-    """Print the table between its lines, and on standard error what makes the search doubtful."""
-    rows, chains, seen = found.rows, found.chains, found.problem.observations
-    for doubt in sentences.of_the_data(found.problem):
+def _print(analysis: Analysis, first: list[str], lines: list[str]) -> None:
+    """Print the table between its lines, and warnings on standard error."""
+    rows, chains, observations = analysis.rows, analysis.chains, analysis.problem.observations
+    for doubt in sentences.data_warnings(analysis.problem):
         notice(doubt)
-    if not bool(found.fit.converged):
-        notice(f"least squares: {words_for(found.fit.status)}; the sampler started there")
-    of = f"{', '.join(o.name for o in seen)}: posterior{' of one eye' if len(seen) > 1 else ''}"
+    if not bool(analysis.fit.converged):
+        notice(f"least squares: {words_for(analysis.fit.status)}; the sampler started there")
+    names = ", ".join(o.name for o in observations)
+    subject = f"{names}: posterior{' of one eye' if len(observations) > 1 else ''}"
     columns = {
         "parameter": [r.parameter for r in rows],
         "unit": [r.unit for r in rows],
@@ -204,10 +213,10 @@ def _print(found: Analysis, first: list[str], lines: list[str]) -> None:
         "ESS": [f"{r.ess_bulk:.0f}" for r in rows],
         "contraction": [f"{r.contraction:.2f}" for r in rows],
     }
-    run = (
+    chain_line = (
         f"{chains.steps} steps, acceptance {chains.acceptance:.2f}, autocorrelation time "
         f"{chains.tau.max():.0f} steps"
     )
-    title = f"{of} by {found.problem.process.name}"
+    title = f"{subject} by {analysis.problem.process.name}"
     dispensable = ("68 %", "contraction", "unit", "ESS", "R-hat")
-    print_table(first, columns, [run, *lines], title=title, dispensable=dispensable)
+    print_table(first, columns, [chain_line, *lines], title=title, dispensable=dispensable)

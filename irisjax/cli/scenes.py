@@ -42,7 +42,7 @@ class Subject(opt.Group, panel="What"):
             raise ValueError("--no-residual is for a SCENE file, of a clone: give one")
 
     def read(self) -> SceneFile:
-        """The scene of the file, or of the preset in a studio."""
+        """Read the scene of the file, or make that of the preset in a studio."""
         if self.scene is not None:
             if self.preset is not None:
                 raise ValueError("give a SCENE file or --preset, not both")
@@ -53,7 +53,7 @@ class Subject(opt.Group, panel="What"):
         return self.changing(parse_scene(studio, f"preset {self.preset}"))
 
     def changing(self, file: SceneFile) -> SceneFile:
-        """Return the scene with the changes that the options ask for."""
+        """Return the scene with the options' changes."""
         entries = {"veins": self.veins, "limbal_ring": self.limbal_ring}
         file = file.with_entries("eye", **{k: v for k, v in entries.items() if v is not None})
         file = file.with_entries("lids") if self.lids else file
@@ -64,23 +64,23 @@ class EyeWithPupil(Subject):
     pupil_radius: float | None = opt.number("{}", eye.EYE_LIMITS["pupil_radius"])
 
     def scene_of(self, file: SceneFile, integrator: str | None = None) -> staging.Scene:
-        """The scene of a file, with the pupil of the option."""
+        """Return the scene of a file, with the option's pupil."""
         scene = file.scene(integrator)
         return scene if self.pupil_radius is None else file.with_pupil(scene, self.pupil_radius)
 
 
-def changed(
+def change_scene(
     scene: staging.Scene,
     light: list[str] | None = None,
     size: str | None = None,
     camera: str | None = None,
 ) -> staging.Scene:
-    """A scene with lamps, picture size or camera as the options write them."""
+    """Replace lamps, picture size or camera of a scene by those of the options."""
     if light:
-        scene = scene.replace(lights=lamps(light, scene.illuminant), environment=None)
-    changes: dict[str, Any] = {} if size is None else {"size": _size(size)}
+        scene = scene.replace(lights=parse_lamps(light, scene.illuminant), environment=None)
+    changes: dict[str, Any] = {} if size is None else {"size": _parse_size(size)}
     if camera is not None:
-        angles = _angles("--camera", camera, "WIDTH", float(scene.camera.width))
+        angles = _parse_angles("--camera", camera, "WIDTH", float(scene.camera.width))
         changes |= dict(zip(("polar", "azimuth", "width"), angles, strict=True))
     try:
         return scene.replace(camera=dataclasses.replace(scene.camera, **changes))
@@ -88,8 +88,8 @@ def changed(
         raise ValueError(f"--camera {camera!r}: {error}") from None
 
 
-def environment_of(text: str) -> Environment:
-    """An environment by its name in `ENVIRONMENTS`, else from a panorama's file."""
+def find_environment(text: str) -> Environment:
+    """Return an environment by its name in `ENVIRONMENTS`, else from a panorama's file."""
     if text in ENVIRONMENTS:
         return ENVIRONMENTS[text](rows=512)
     if not Path(text).suffix:
@@ -98,20 +98,20 @@ def environment_of(text: str) -> Environment:
     return read_environment(text)
 
 
-def lamps(texts: list[str], illuminant: str = "D65") -> Lights:
-    """Lamps as `--light` writes them."""
-    made = []
+def parse_lamps(texts: list[str], illuminant: str = "D65") -> Lights:
+    """Parse the lamps of `--light`."""
+    lights = []
     for text in texts:
-        angles = _angles("--light", text, "IRRADIANCE", math.pi)
+        angles = _parse_angles("--light", text, "IRRADIANCE", math.pi)
         try:
-            made.append(Lights.distant(*angles, illuminant=illuminant))
+            lights.append(Lights.distant(*angles, illuminant=illuminant))
         except ValueError as error:
             raise ValueError(f"--light {text!r}: {error}") from None
-    return functools.reduce(operator.add, made)
+    return functools.reduce(operator.add, lights)
 
 
-def outline_of(name: str, text: str | None) -> Ellipse | None:
-    """An outline as --limbus and --pupil write it."""
+def parse_outline(name: str, text: str | None) -> Ellipse | None:
+    """Parse the outline of `--limbus` or `--pupil`."""
     if text is None:
         return None
     if len(numbers := opt.numbers(text)) != 5:
@@ -122,7 +122,7 @@ def outline_of(name: str, text: str | None) -> Ellipse | None:
     return Ellipse((x, y), (a, b), math.radians(degrees))
 
 
-def _size(text: str) -> tuple[int, int]:
+def _parse_size(text: str) -> tuple[int, int]:
     width, cross, height = text.partition("x")
     if not (cross and width.isdecimal() and height.isdecimal()):
         raise ValueError(f"--size {text!r}: write WIDTHxHEIGHT, such as 800x600")
@@ -131,8 +131,8 @@ def _size(text: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def _angles(option: str, text: str, third: str, default: float) -> tuple[float, float, float]:
-    """Polar angle and azimuth, radians, and the third number, which may be left out."""
+def _parse_angles(option: str, text: str, third: str, default: float) -> tuple[float, float, float]:
+    """Parse polar angle and azimuth, radians, and a third number, which may be left out."""
     numbers = opt.numbers(text)
     if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
         raise ValueError(f"{option} {text!r}: write POLAR,AZIMUTH or POLAR,AZIMUTH,{third}")

@@ -16,51 +16,51 @@ _WORDS = {
     "abl_thickness": "ABL thickness", "scattering_scale": "scattering",
     "rayleigh_share": "Rayleigh share",
 }  # fmt: skip
-# Parameters whose change with the process is printed.
+# Parameters whose change with the process is printed, in words.
 _QUOTED = {"melanin_load": "melanin load", "abl_fraction": "ABL fraction"}
-_FEW, _WIDE = 12, 15.0  # values, nm apart: those of filters rather than of a spectrometer
-_DENSE = 3.0  # nm apart, so that neighbouring values may share pixels
+_FEW, _WIDE = 12, 15.0  # at most so many values, so many nm apart, are those of filters
+_DENSE = 3.0  # spacing in nm up to which neighbouring values may share pixels of a spectrometer
 _UNKNOWN = 3.0  # relative sd above which a parameter counts as unknown: a factor of twenty
 
 
-def process_lines(found: ProcessComparison) -> list[str]:
+def process_lines(comparison: ProcessComparison) -> list[str]:
     """Describe the change of the pigments with the process; warn if the data prefer the other."""
-    names = [n for n in found.moved if kind(n) in _QUOTED] or list(found.moved)[:1]
+    names = [n for n in comparison.moved if kind(n) in _QUOTED] or list(comparison.moved)[:1]
     lines = []
     if names:
-        parts = ", ".join(_shift(n, found.moved[n]) for n in names)
+        parts = ", ".join(_shift(n, comparison.moved[n]) for n in names)
         warning = "WARNING: the pigments depend on the model by more than their intervals: "
-        differ = any(moved.differs for moved in found.moved.values())
-        lines.append(f"{warning if differ else ''}by {found.process.name} {parts}")
-    if found.preferred:
-        lines.append(f"WARNING: {preference(found)}")
+        differ = any(moved.differs for moved in comparison.moved.values())
+        lines.append(f"{warning if differ else ''}by {comparison.process.name} {parts}")
+    if comparison.preferred:
+        lines.append(f"WARNING: {preference(comparison)}")
     return lines
 
 
-def preference(found: ProcessComparison) -> str:
+def preference(comparison: ProcessComparison) -> str:
     """State the odds by which the data prefer the other process."""
     return (
-        f"the data prefer {found.process.name}, by odds of {odds(found.log_odds)} to 1 "
+        f"the data prefer {comparison.process.name}, by odds of {odds(comparison.log_odds)} to 1 "
         f"(least squares, Laplace's approximation)"
     )
 
 
-def information_lines(found: Information) -> list[str]:
-    """The best and the least known combination, and each parameter by itself."""
-    best, least = found.directions[0], found.directions[-1]
+def information_lines(information: Information) -> list[str]:
+    """Describe the best and the least known combination, and each parameter by itself."""
+    best, least = information.directions[0], information.directions[-1]
     lines = [
         f"best known: {product(best)}, to {_percent(best.relative)}",
         f"least known: {product(least)}, to {_percent(least.relative)}",
     ]
-    load, fraction = found.alone.get("melanin_load"), found.alone.get("abl_fraction")
+    load, fraction = information.alone.get("melanin_load"), information.alone.get("abl_fraction")
     if load is not None and fraction is not None:
+        of_product = _percent(information.of_product("melanin_load", "abl_fraction"))
         lines.append(
-            f"load × fraction (the melanin of the ABL) is known to "
-            f"{_percent(found.of_product('melanin_load', 'abl_fraction'))}, the load alone to "
+            f"load × fraction (the melanin of the ABL) is known to {of_product}, the load alone to "
             f"{_percent(load)}, the fraction alone to {_percent(fraction)} (data only, without "
             f"priors)"
         )
-    for name, (left, partner, correlation) in found.trades.items():
+    for name, (left, partner, correlation) in information.trades.items():
         share = f"{100 * left:.0f} % of its prior's width"
         known = "not determined by the data" if left > 0.9 else share
         ridge = f"; trades with {_word(partner)} (correlation {correlation:+.2f})"
@@ -69,14 +69,14 @@ def information_lines(found: Information) -> list[str]:
 
 
 def product(direction: Direction) -> str:
-    """A combination of parameters as a product of powers."""
+    """Write a combination of parameters as a product of powers."""
     above = [_power(n, e) for n, e in direction.exponents.items() if e > 0]
     below = [_power(n, -e) for n, e in direction.exponents.items() if e < 0]
     divisor = f"({' × '.join(below)})" if len(below) > 1 else "".join(below)
     return (" × ".join(above) or "1") + (f" / {divisor}" if below else "")
 
 
-def of_the_data(problem: Problem) -> list[str]:
+def data_warnings(problem: Problem) -> list[str]:
     """Describe what the data of a problem cannot determine, whatever their values."""
     lines = []
     if problem.undetermined:
@@ -86,106 +86,114 @@ def of_the_data(problem: Problem) -> list[str]:
             f"least {problem.undetermined} of them keep their priors whatever was measured"
         )
     for o in problem.observations:
-        apart = np.diff(np.asarray(o.wavelengths))
-        few = not o.is_colour and 1 < o.values.shape[-1] <= _FEW and np.median(apart) >= _WIDE
-        if few and o.instrument.bands is None:
+        steps = np.diff(np.asarray(o.wavelengths))
+        is_filtered = (
+            not o.is_colour and 1 < o.values.shape[-1] <= _FEW and np.median(steps) >= _WIDE
+        )
+        if is_filtered and o.instrument.bands is None:
             lines.append(
-                f"WARNING: {o.values.shape[-1]} values {np.median(apart):.0f} nm apart are read as "
+                f"WARNING: {o.values.shape[-1]} values {np.median(steps):.0f} nm apart are read as "
                 "light of single wavelengths; a camera's or filters' bands give other pigments: "
                 "state them by --bands FILE or --bandwidth NM"
             )
     return lines
 
 
-def cautions(found: Analysis) -> list[str]:
+def result_warnings(analysis: Analysis) -> list[str]:
     """Return warnings about the result."""
     lines = []
-    if found.unmoved:
+    if analysis.unmoved:
         lines.append(
-            f"the data hardly move {', '.join(found.unmoved)}: what is shown is mostly the prior"
+            f"the data hardly move {', '.join(analysis.unmoved)}: what is shown is mostly the prior"
         )
-    check, faults = found.check, []
+    check, faults = analysis.check, []
     if check.large:
         faults.append(f"residuals are larger than the noise (p = {check.p_chi_square:.3g})")
     if check.smooth:
         faults.append(f"residuals are correlated over wavelength (p = {check.p_pattern:.3g})")
-        over = _correlated_over(found)
-        if over is not None and not check.large:
+        width = _correlated_over(analysis)
+        if width is not None and not check.large:
             faults.append(
                 f"if the instrument averages its pixels, neighbouring values share their noise "
-                f"over about {over:.0f} nm: state it by --boxcar NM"
+                f"over about {width:.0f} nm: state it by --boxcar NM"
             )
     if check.noisy:
         faults.append(f"it takes {check.noise:.1f} times the stated noise")
     if faults:
         lines.append(f"WARNING: the model does not produce these data: {'; '.join(faults)}")
-    if not found.chains.converged:
-        lines.append(f"NOT CONVERGED: {found.chains.reason}")
+    if not analysis.chains.converged:
+        lines.append(f"NOT CONVERGED: {analysis.chains.reason}")
     return lines
 
 
-def _correlated_over(found: Analysis) -> float | None:
-    """Width of a moving average that would correlate residuals as they are, nm; `None` where
-    wavelengths are too far apart to share pixels, or where errors are said to be correlated.
+def _correlated_over(analysis: Analysis) -> float | None:
+    """Estimate the width of the moving average, nm, that would correlate the residuals as observed;
+    `None` if wavelengths are too far apart to share pixels, or errors are stated as correlated.
     """
-    seen, predicted = found.problem.observations[0], np.asarray(found.fit.predicted[0])
-    step = float(np.median(np.diff(np.asarray(seen.wavelengths)))) if predicted.size > _FEW else 0
-    if not 0 < step <= _DENSE or seen.correlation_root is not None or seen.is_colour:
+    observation, predicted = analysis.problem.observations[0], np.asarray(analysis.fit.predicted[0])
+    step = (
+        float(np.median(np.diff(np.asarray(observation.wavelengths))))
+        if predicted.size > _FEW
+        else 0
+    )
+    if not 0 < step <= _DENSE or observation.correlation_root is not None or observation.is_colour:
         return None
-    residual = np.asarray(seen.values) - predicted
+    residual = np.asarray(observation.values) - predicted
     residual = residual / np.abs(predicted)
-    alike = np.correlate(residual, residual, "full")[residual.size - 1 :]
-    # A moving average correlates values half its width apart by a half.
-    return 2 * step * int(np.argmax(alike < 0.5 * alike[0]))
+    correlation = np.correlate(residual, residual, "full")[residual.size - 1 :]
+    # Values half a width apart have a correlation of one half after a moving average.
+    return 2 * step * int(np.argmax(correlation < 0.5 * correlation[0]))
 
 
 def models_sentence(assessments: Sequence[Assessment]) -> str:
-    """One sentence to quote: which model the data prefer by what odds, and how far the melanin load
-    moves.
+    """Write one sentence to quote: the model that the data prefer, by what odds, and the change of
+    the melanin load between models.
     """
     first, second = sorted(assessments, key=lambda a: -a.evidence.log_integral)[:2]
     log_odds = first.evidence.log_integral - second.evidence.log_integral
     error = math.hypot(first.evidence.error, second.evidence.error)
     if log_odds - 2 * error > PREFERRED:
-        said = f"prefer {first.name} to {second.name} by odds of {odds(log_odds)} to 1"
+        verdict = f"prefer {first.name} to {second.name} by odds of {odds(log_odds)} to 1"
     else:
-        said = f"do not decide between {first.name} and {second.name}"
+        verdict = f"do not decide between {first.name} and {second.name}"
     evidences = ", ".join(f"{with_error(a)} by {a.name}" for a in assessments)
     data = ", ".join(o.name for o in assessments[0].problem.observations)
-    whole = f"The data ({data}) {said} (ln evidence {evidences}; importance sampling, equal priors)"
+    sentence = (
+        f"The data ({data}) {verdict} (ln evidence {evidences}; importance sampling, equal priors)"
+    )
     pigments = (_by_models(n, assessments) for n in assessments[0].values if kind(n) in _QUOTED)
-    return f"{'; '.join([whole, *pigments])}."
+    return f"{'; '.join([sentence, *pigments])}."
 
 
 def with_error(assessment: Assessment) -> str:
-    """An evidence and its error, with as many digits as the error allows."""
-    found = assessment.evidence
-    digits = 1 if found.error >= 0.05 else 2
-    return f"{found.log_integral:.{digits}f} ± {found.error:.{digits}f}"
+    """Write an evidence and its error, with as many digits as the error allows."""
+    evidence = assessment.evidence
+    digits = 1 if evidence.error >= 0.05 else 2
+    return f"{evidence.log_integral:.{digits}f} ± {evidence.error:.{digits}f}"
 
 
-def interval(found: Interval) -> str:
-    """A value and its 95 % interval."""
-    return f"{found.value:.3g} ({found.low:.3g} to {found.high:.3g})"
+def interval(estimate: Interval) -> str:
+    """Write a value and its 95 % interval."""
+    return f"{estimate.value:.3g} ({estimate.low:.3g} to {estimate.high:.3g})"
 
 
 def odds(log_odds: float) -> str:
-    """Odds to one, from their logarithm."""
+    """Write odds to one, from their logarithm."""
     return _number(math.exp(log_odds)) if log_odds < 12 else f"1e{log_odds / math.log(10):.0f}"
 
 
 def _by_models(name: str, assessments: Sequence[Assessment]) -> str:
-    """A pigment by every model, and its ratio to the first one's."""
-    each = []
+    """Write a pigment by every model, and its ratio to that by the first."""
+    texts = []
     for a in assessments:
         text = f"{interval(a.values[name])} by {a.name}"
         if a is not assessments[0]:
             ratio, least, most = a.ratios[name]
             text += f", {ratio:.2g} ({least:.2g} to {most:.2g}) times that"
-        each.append(text)
+        texts.append(text)
     plain, tag = _QUOTED[kind(name)], name.partition("@")[2]
     unit = unit_of(name) and f", {unit_of(name)}"
-    return f"{plain}{tag and f' {tag}'}{unit} (95 %): {', '.join(each)}"
+    return f"{plain}{tag and f' {tag}'}{unit} (95 %): {', '.join(texts)}"
 
 
 def _shift(name: str, moved: Moved) -> str:
@@ -201,7 +209,7 @@ def _shift(name: str, moved: Moved) -> str:
 
 
 def _number(x: float) -> str:
-    """Two digits, without an exponent."""
+    """Write a number with two digits, without an exponent."""
     return f"{x:.2g}" if x < 100 else f"{float(f'{x:.2g}'):,.0f}"
 
 

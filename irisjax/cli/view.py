@@ -9,15 +9,15 @@ import typer
 
 from irisjax import _interrupt
 from irisjax.cli import options as opt
-from irisjax.cli.compiled import kept_tables
+from irisjax.cli.compiled import cached_tables
 from irisjax.cli.paints import PaintOptions, check_no_seed
-from irisjax.cli.scenes import Subject, changed
+from irisjax.cli.scenes import Subject, change_scene
 from irisjax.io.clone_folders import read_clone
 from irisjax.numerics.checks import Range
 from irisjax.view import Bench, Studio, check_address, serve
 
 
-class Shown(Subject):
+class ViewSubject(Subject):
     scene: Path | None = opt.argument(
         "scene file (TOML; data/scenes/everything.toml explains it), or the folder of a clone, "
         "shown beside its photograph",
@@ -37,7 +37,7 @@ class Window(opt.Group, panel="Picture"):
 
 
 @opt.grouped
-def view_command(subject: Shown, coats: Coats, window: Window) -> None:
+def view_command(subject: ViewSubject, coats: Coats, window: Window) -> None:
     r"""Show an eye in the browser, with sliders, its spectrum and its colour; or a painted one.
 
     Sliders for pigments, layers, pupil and light; drag to orbit, scroll to zoom.
@@ -51,24 +51,26 @@ def view_command(subject: Shown, coats: Coats, window: Window) -> None:
         raise ValueError("give one eye: SCENE, --preset, --recipe or --type")
     if coats.recipe is not None:
         check_no_seed(subject.typed)
-    # Half the time of double precision, and the same picture to one level of 255 but for some
+    # Single precision takes half the time, for the same picture to one level of 255 but for some
     # pixels.
     jax.config.update("jax_enable_x64", False)
     if painted:
         recipe = coats.read(subject.seed)
         with coats.in_file():
-            shown = Bench(recipe, lambda scene: changed(scene, size=window.size), kept_tables)
+            content = Bench(
+                recipe, lambda scene: change_scene(scene, size=window.size), cached_tables
+            )
     else:
-        shown = _studio(subject, window.size)
+        content = _studio(subject, window.size)
 
     def ready(address: str) -> None:
         _interrupt.expect()
         typer.echo(f"irisjax: {address}  (Ctrl-C ends it)")
 
-    serve(shown, window.host, window.port, ready=ready)
+    serve(content, window.host, window.port, ready=ready)
 
 
-def _studio(subject: Shown, size: str | None) -> Studio:
+def _studio(subject: ViewSubject, size: str | None) -> Studio:
     if subject.scene is None and subject.preset is None:
         subject = dataclasses.replace(subject, preset="blue")
     photograph = None
@@ -77,7 +79,7 @@ def _studio(subject: Shown, size: str | None) -> Studio:
         file = subject.changing(file)
     else:
         file = subject.read()
-    given: dict[str, Any] = {"exposure": file.exposure, "photograph": photograph, "file": file}
+    settings: dict[str, Any] = {"exposure": file.exposure, "photograph": photograph, "file": file}
     if subject.preset is not None:
-        given |= {"preset": subject.preset, "seed": subject.seed, "environment": "studio"}
-    return Studio(changed(file.scene(), size=size), kept_tables, **given)
+        settings |= {"preset": subject.preset, "seed": subject.seed, "environment": "studio"}
+    return Studio(change_scene(file.scene(), size=size), cached_tables, **settings)

@@ -8,11 +8,11 @@ from distributed import Worker, WorkerPlugin
 from irisjax.cli.compiled import keep_compiled
 
 
-class Ready(WorkerPlugin):
-    """A plugin that sets workers up before they import what they are to do, later ones too.
+class WorkerSetup(WorkerPlugin):
+    """A plugin that sets up workers, also later ones, before they import the functions they run.
 
     Attributes:
-        shares: Among how many workers the cores of this machine are shared; `None` leaves them.
+        shares: Number of workers among which this machine's cores are shared; `None` to use all.
     """
 
     name = "irisjax"

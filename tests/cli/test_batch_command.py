@@ -170,7 +170,7 @@ def test_posteriors_of_a_batch(irisjax, eye, searched, monkeypatch, tmp_path):
     def draws(problem, found, names, *, key):
         return np.arange(6.0).reshape(3, 2)
 
-    monkeypatch.setattr(report, "one", one)
+    monkeypatch.setattr(report, "report_eye", one)
     monkeypatch.setattr(batch, "likelihood_draws", draws)
     monkeypatch.setattr(batch, "tails", lambda problem, z, names: None)
     monkeypatch.setattr(batch, "fit", lambda problem, *, key: Start(np.zeros(2), np.eye(2)))

@@ -66,7 +66,7 @@ def test_from_file_to_files(irisjax, eye, compared, tmp_path, monkeypatch):
     assert (folder / "compare.png").read_bytes().startswith(b"\x89PNG")
     # A second run is refused, or gives the same table.
     one_line(irisjax("fit", eye, "--compare", "-o", folder), "--overwrite starts again")
-    monkeypatch.setattr(compare, "_drawing", lambda *_: lambda: b"new")
+    monkeypatch.setattr(compare, "_draw", lambda *_: lambda: b"new")
     assert irisjax("fit", eye, "--compare", "-o", folder, "--overwrite")[0] == 0
     assert (folder / "compare.csv").read_text() == text
     assert (folder / "compare.png").read_bytes() == b"new"

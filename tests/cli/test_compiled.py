@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from irisjax.cli import compiled
-from irisjax.cli.compiled import Ahead, Kept
+from irisjax.cli.compiled import CachedFunction, ReadAhead
 
 
 class Layer(eqx.Module):
@@ -46,7 +46,7 @@ def _weak(x):
     return x, jnp.asarray(1.0) * 2.0
 
 
-seen, times, weak = (Kept(eqx.filter_jit(f), f.__name__) for f in (_seen, _times, _weak))
+seen, times, weak = (CachedFunction(eqx.filter_jit(f), f.__name__) for f in (_seen, _times, _weak))
 
 
 @pytest.fixture
@@ -217,7 +217,7 @@ def some(folder, monkeypatch):
 
 def used(folder, names, read=Path.read_text):
     """The texts of these files in a new process."""
-    ahead = Ahead(read)
+    ahead = ReadAhead(read)
     with ahead.reading("command"):
         return [ahead(folder / name) for name in names]
 
@@ -232,7 +232,7 @@ def test_files_used_last_time_are_read_before_they_are_asked_for(some):
             both.set()
         return path.name
 
-    ahead = Ahead(counted)
+    ahead = ReadAhead(counted)
     with ahead.reading("command"):
         assert both.wait(30)
         assert [ahead(some / name) for name in "abc"] == ["a", "b", "c"]
@@ -243,7 +243,7 @@ def test_files_used_last_time_are_read_before_they_are_asked_for(some):
 def test_no_file_waits_for_those_before(some):
     used(some, "abc")
     held = threading.Event()
-    ahead = Ahead(lambda path: held.wait(30) if path.name == "a" else path.name)
+    ahead = ReadAhead(lambda path: held.wait(30) if path.name == "a" else path.name)
     with ahead.reading("command"):
         assert ahead(some / "c") == "c"  # while a is being read
         held.set()

@@ -11,7 +11,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from irisjax.cli.engine import Lost, Workers, each, fault_of
+from irisjax.cli.engine import LostPiece, Workers, describe_fault, run_pieces
 
 # Dask leaves the sockets of a scheduler that was killed to the garbage collector.
 pytestmark = [pytest.mark.peer, pytest.mark.filterwarnings("ignore::ResourceWarning")]
@@ -39,26 +39,26 @@ def fatal(i):
 def check(found):
     """All pieces are there, once, and the one that raised says why."""
     assert sorted(found) == list(range(12))
-    assert found.pop(3) == Lost("3 is no eye")
+    assert found.pop(3) == LostPiece("3 is no eye")
     assert all(result[0] == i * i for i, result in found.items())
 
 
 def test_a_killed_worker_loses_nothing():
     found, times = {}, Counter()
-    for i, result in each(square, {i: (i,) for i in range(12)}, Workers(workers=2)):
+    for i, result in run_pieces(square, {i: (i,) for i in range(12)}, Workers(workers=2)):
         if not found:
             os.kill(result[1], signal.SIGKILL)
         found[i] = result
         times[i] += 1
     assert set(times.values()) == {1}
-    assert len({r[1] for r in found.values() if not isinstance(r, Lost)}) >= 2
+    assert len({r[1] for r in found.values() if not isinstance(r, LostPiece)}) >= 2
     check(found)
 
 
 def test_a_piece_that_kills_every_worker_fails_alone():
-    found = dict(each(fatal, {i: (i,) for i in range(3)}, Workers(workers=1)))
-    assert found == {0: Lost(found[0].why), 1: 1, 2: 2}
-    assert "the worker died on it several times" in found[0].why
+    found = dict(run_pieces(fatal, {i: (i,) for i in range(3)}, Workers(workers=1)))
+    assert found == {0: LostPiece(found[0].reason), 1: 1, 2: 2}
+    assert "the worker died on it several times" in found[0].reason
 
 
 def test_a_restarted_scheduler_loses_nothing():
@@ -82,7 +82,9 @@ def test_a_restarted_scheduler_loses_nothing():
         first = scheduler()
         worker()
         found = {}
-        for i, result in each(square, {i: (i,) for i in range(12)}, Workers(scheduler=address)):
+        for i, result in run_pieces(
+            square, {i: (i,) for i in range(12)}, Workers(scheduler=address)
+        ):
             found[i] = result
             if len(found) == 5:
                 first.kill()
@@ -100,7 +102,7 @@ def test_a_restarted_scheduler_loses_nothing():
 def test_no_scheduler_is_said(monkeypatch):
     monkeypatch.setattr("irisjax.cli.engine._CONNECTING", 0.5)
     with pytest.raises(ValueError, match="no dask scheduler answers there"):
-        list(each(square, {0: (0,)}, Workers(scheduler="tcp://127.0.0.1:9")))
+        list(run_pieces(square, {0: (0,)}, Workers(scheduler="tcp://127.0.0.1:9")))
 
 
 def test_a_refused_run_leaves_no_folder(irisjax, tmp_path, monkeypatch):
@@ -131,8 +133,8 @@ def test_maps_of_equal_bytes(irisjax, tmp_path, monkeypatch):
 
 
 def test_faults_in_words():
-    assert fault_of(ValueError("no\n eye")) == "no eye"
-    assert fault_of(KeyError("x")) == "internal error: KeyError: 'x'"
+    assert describe_fault(ValueError("no\n eye")) == "no eye"
+    assert describe_fault(KeyError("x")) == "internal error: KeyError: 'x'"
 
 
 _ON_A_FULL_DISK = """

@@ -184,7 +184,9 @@ def test_two_spots_of_one_eye(irisjax, eye, sampled, tmp_path, monkeypatch):
 
 def test_nothing_is_done_for_what_cannot_be_sampled(irisjax, eye, quick, monkeypatch, tmp_path):
     """Too few walkers and priors that no iris has: refused before a file is touched."""
-    monkeypatch.setattr(report, "one", lambda *given, **settings: pytest.fail("work was done"))
+    monkeypatch.setattr(
+        report, "report_eye", lambda *given, **settings: pytest.fail("work was done")
+    )
     chain = tmp_path / "chain.h5"
     chain.write_text("mine")
     said = ("fit", eye, "-o", tmp_path, "--overwrite")

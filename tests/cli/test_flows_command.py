@@ -86,7 +86,9 @@ def test_posteriors_of_a_batch(irisjax, eye, trained, monkeypatch, tmp_path):
     for name in ("a", "b", "c"):
         (eyes / f"{name}.csv").write_bytes(eye.read_bytes())
     sampled = []
-    monkeypatch.setattr(batch.report, "one", lambda *a, **_: sampled.append(a[1].name) or True)
+    monkeypatch.setattr(
+        batch.report, "report_eye", lambda *a, **_: sampled.append(a[1].name) or True
+    )
     given = ("fit", "--batch", eyes, "-o", out, "--posteriors", "amortised", *FREE)
     status, _, err = irisjax(*given)
     assert status == 0, err

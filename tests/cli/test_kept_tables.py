@@ -12,7 +12,7 @@ import pytest
 
 from irisjax.anatomy.eye import Cornea, Eye, LimbalRing, Sclera
 from irisjax.cli import compiled
-from irisjax.cli.compiled import MOST_TABLES, kept_tables, tables_key
+from irisjax.cli.compiled import MOST_TABLES, cached_tables, tables_key
 from irisjax.optics.conicoid import Conicoid
 from irisjax.render.camera import Camera
 from irisjax.render.illumination import Illumination, canonical_eye
@@ -58,13 +58,13 @@ def equal(a, b):
 
 def test_tables_come_back_to_the_bit(folder, made, bits):
     scene = Scene(Iris(), eye=Eye(iris_depth=3.7))  # of this precision
-    first = kept_tables(scene)
+    first = cached_tables(scene)
     (file,) = folder.iterdir()
     assert first.flux.dtype == f"float{bits}"
     # Another pupil, camera and iris: the same file.
     eye = scene.eye.replace(pupil_radius=2.5)
     scene = scene.replace(eye=eye, camera=Camera(size=(4, 3)), iris=Iris())
-    equal(kept_tables(scene), first)
+    equal(cached_tables(scene), first)
     assert list(folder.iterdir()) == [file] and len(made) == 1
 
 
@@ -119,15 +119,15 @@ def test_precision_and_code_are_in_the_key():
 def test_grazing_light_asks_for_caustics(folder, made):
     low = SCENE.replace(lights=Lights.distant(1.6, 0.0))
     for scene in (SCENE, low, SCENE, low):
-        kept_tables(scene)
+        cached_tables(scene)
     assert [caustics for _, caustics in made] == [False, True]
-    assert kept_tables(SCENE.replace(eye=Eye(cornea=None, sclera=None))) is None
+    assert cached_tables(SCENE.replace(eye=Eye(cornea=None, sclera=None))) is None
     assert len(list(folder.iterdir())) == 2  # without a cornea there is no file
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "foreign", "empty", "text"])
 def test_damaged_files_are_made_again_and_said(folder, made, capsys, damage):
-    kept_tables(SCENE)
+    cached_tables(SCENE)
     (file,) = folder.iterdir()
     data = file.read_bytes()
     middle = len(data) // 2
@@ -140,25 +140,25 @@ def test_damaged_files_are_made_again_and_said(folder, made, capsys, damage):
         "text": b"not a table",
     }
     file.write_bytes(contents[damage])
-    again = kept_tables(SCENE)
+    again = cached_tables(SCENE)
     (err,) = capsys.readouterr().err.splitlines()
     assert err.startswith(f"irisjax: {file}: not usable (") and err.endswith("made again")
-    equal(kept_tables(SCENE), again)
+    equal(cached_tables(SCENE), again)
     assert len(made) == 2 and capsys.readouterr().err == ""
 
 
 def test_files_under_anothers_name_are_not_used(folder, made, capsys):
-    kept_tables(SCENE)
+    cached_tables(SCENE)
     (file,) = folder.iterdir()
     other = SCENE.replace(eye=EYE.replace(iris_depth=3.8))
     file.rename(folder / key(other.eye, False))
-    kept_tables(other)
+    cached_tables(other)
     assert "tables of another eye" in capsys.readouterr().err and len(made) == 2
 
 
 def test_a_folder_that_cannot_be_written_costs_a_line(folder, made, capsys):
     folder.write_text("")
-    found = kept_tables(SCENE)
+    found = cached_tables(SCENE)
     assert found.flux.shape == (2, 5, 5, 3)
     err = capsys.readouterr().err
     assert "could not be kept" in err and err.count("\n") == 1
@@ -170,16 +170,16 @@ def test_the_folder_stays_small(folder, made):
     os.utime(folder / ".x.123.tmp", (0, 0))
     eyes = [EYE.replace(iris_depth=3.6 + 0.01 * i) for i in range(MOST_TABLES + 3)]
     for i, eye in enumerate(eyes):
-        kept_tables(SCENE.replace(eye=eye))
+        cached_tables(SCENE.replace(eye=eye))
         os.utime(folder / key(eye, False), (i, i))
-        kept_tables(SCENE.replace(eye=eyes[0]))  # in use all the time, so that it stays
+        cached_tables(SCENE.replace(eye=eyes[0]))  # in use all the time, so that it stays
     kept = {key(eye, False) for eye in (eyes[0], *eyes[4:])}
     assert {p.name for p in folder.iterdir()} == kept and len(kept) == MOST_TABLES
     assert len(made) == len(eyes)
 
 
 def test_many_at_once_get_the_same_file(folder, made):
-    threads = [threading.Thread(target=kept_tables, args=(SCENE,)) for _ in range(4)]
+    threads = [threading.Thread(target=cached_tables, args=(SCENE,)) for _ in range(4)]
     for thread in threads:
         thread.start()
     for thread in threads:
@@ -190,12 +190,12 @@ def test_many_at_once_get_the_same_file(folder, made):
 
 def test_where_the_command_keeps_them(monkeypatch, tmp_path, made):
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", "")
-    assert compiled.folder() is None
-    assert kept_tables(SCENE) is not None
+    assert compiled.cache_folder() is None
+    assert cached_tables(SCENE) is not None
     monkeypatch.setenv("JAX_COMPILATION_CACHE_DIR", str(tmp_path / "named"))
-    kept_tables(SCENE)
+    cached_tables(SCENE)
     assert len(list((tmp_path / "named" / "illumination").iterdir())) == 1
     monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert compiled.folder() == tmp_path / "irisjax"
+    assert compiled.cache_folder() == tmp_path / "irisjax"
     assert len(made) == 2

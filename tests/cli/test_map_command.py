@@ -149,7 +149,7 @@ def test_a_stopped_run_is_continued(irisjax, few_starts, tmp_path, monkeypatch):
     """It fits only what is left, and ends in the bytes of a run that was not stopped."""
     path, folder = envi(tmp_path / "a.hdr", CUBE), tmp_path / "maps"
     monkeypatch.setattr(command, "_CHUNK", 10)  # two rows of five pixels
-    fitted, fit = [], command._fitted
+    fitted, fit = [], command._fit_rows
 
     def stops(values, *rest):
         if len(fitted) == 1:
@@ -158,10 +158,10 @@ def test_a_stopped_run_is_continued(irisjax, few_starts, tmp_path, monkeypatch):
         return fit(values, *rest)
 
     assert irisjax("map", path, *FREE, "-o", tmp_path / "whole")[0] == 0
-    monkeypatch.setattr(command, "_fitted", stops)
+    monkeypatch.setattr(command, "_fit_rows", stops)
     assert irisjax("map", path, *FREE, "-o", folder)[0] == 130
     assert [f.name for f in folder.iterdir()] == ["maps.part"]
-    monkeypatch.setattr(command, "_fitted", fit)
+    monkeypatch.setattr(command, "_fit_rows", fit)
     again = ("map", path, *FREE, "-o", folder)
     one_line(irisjax(*again), "has unfinished maps; --resume continues them, --overwrite starts")
     other = irisjax(*again, "--resume", "--relative-noise", 0.03)
@@ -171,7 +171,7 @@ def test_a_stopped_run_is_continued(irisjax, few_starts, tmp_path, monkeypatch):
         fitted.append(len(values))
         return fit(values, *more)
 
-    monkeypatch.setattr(command, "_fitted", rest)
+    monkeypatch.setattr(command, "_fit_rows", rest)
     assert irisjax(*again, "--resume")[0] == 0
     assert fitted == [2, 2, 2]
     files = sorted(f.name for f in (tmp_path / "whole").iterdir())
@@ -185,6 +185,6 @@ def test_nothing_is_left_of_a_run_that_did_nothing(irisjax, few_starts, tmp_path
     def fails(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "_fitted", fails)
+    monkeypatch.setattr(command, "_fit_rows", fails)
     assert irisjax("map", path, *FREE, "-o", tmp_path / "maps")[0] == 130
     assert not (tmp_path / "maps").exists()

@@ -44,7 +44,7 @@ def _flat(path, alpha=False):
 def unsearched(monkeypatch):
     """No renderer, which compiles for long, and no search: coats as they are, and two scans."""
     grey = np.full((90, 120, 3), 0.2)
-    monkeypatch.setattr(command, "_drawn", lambda *_: (grey, grey))
+    monkeypatch.setattr(command, "_draw_pictures", lambda *_: (grey, grey))
     monkeypatch.setattr(painting, "veins", lambda *_, **__: None)
     off = Difference(40.0, 50.0)
     monkeypatch.setattr(command, "match", lambda r, *_, **__: Match(r, off, off, 300, False))

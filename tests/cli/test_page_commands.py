@@ -16,7 +16,9 @@ COMMANDS = re.findall(r"`irisjax (fit [^`]+)`", PAGE)
 @pytest.mark.parametrize("command", COMMANDS, ids=lambda c: c.split()[-1])
 def test_commands_of_the_page_state_a_problem(irisjax, quick, monkeypatch, tmp_path, command):
     problems = []
-    monkeypatch.setattr(report, "one", lambda problem, *_, **__: problems.append(problem) or True)
+    monkeypatch.setattr(
+        report, "report_eye", lambda problem, *_, **__: problems.append(problem) or True
+    )
     monkeypatch.chdir(ROOT)
     *given, _, folder = shlex.split(command)
     status, _, err = irisjax(*given, "-o", tmp_path / folder)

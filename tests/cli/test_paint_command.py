@@ -57,7 +57,7 @@ def undrawn(monkeypatch, bloodless):
 
     monkeypatch.setattr(command, "draw", grey)
     monkeypatch.setattr(command, "draw_bands", lambda *a, **_: [SimpleNamespace(pixels=grey(*a))])
-    monkeypatch.setattr(command, "kept_tables", lambda _: None)
+    monkeypatch.setattr(command, "cached_tables", lambda _: None)
     return scenes
 
 
@@ -90,8 +90,8 @@ def test_an_eye_is_drawn(irisjax, tmp_path, monkeypatch):
 
 def test_the_progress_has_twelve_pictures_at_most():
     for count, shown in ((1, [1]), (3, [1, 2, 3]), (12, list(range(1, 13)))):
-        assert command._shown(count) == shown
-    many = command._shown(50)
+        assert command._progress_counts(count) == shown
+    many = command._progress_counts(50)
     assert len(many) == 12 and (many[0], many[-1]) == (1, 50)
 
 
@@ -255,7 +255,7 @@ def test_a_folder_without_permission_is_told_before_the_work(irisjax, tmp_path, 
     "option", [("--size", "0x0"), ("--light", "30,0,-1"), ("--camera", "200,0")], ids=lambda x: x[0]
 )
 def test_wrong_picture_options_are_refused_before_the_work(irisjax, tmp_path, monkeypatch, option):
-    monkeypatch.setattr("irisjax.cli.paint._prepared", None)
+    monkeypatch.setattr("irisjax.cli.paint._prepare", None)
     _refused(irisjax("paint", RECIPE, *option, "-o", tmp_path / "eye"), *option)
 
 

@@ -44,7 +44,7 @@ def _with_a_scene_in_its_folder(monkeypatch, tmp_path):
 def drawn(monkeypatch):
     """Nothing is drawn; what would have been."""
     calls = []
-    monkeypatch.setattr(render, "_still", lambda *given: calls.append(given))
+    monkeypatch.setattr(render, "_render_still", lambda *given: calls.append(given))
     return calls
 
 

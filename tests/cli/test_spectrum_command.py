@@ -125,7 +125,7 @@ def test_how_far_scalar_theory_is_off_is_said(monkeypatch, light, scalar, said):
         return SimpleNamespace(xyz=found, values=found)
 
     monkeypatch.setattr(measure, "observe", observe)
-    told = measure._left_out_by_scalar_theory(ij.Iris(), light)
+    told = measure._scalar_theory_error(ij.Iris(), light)
     assert told == f"{said} polarised transport of the same layers"
 
 
@@ -220,14 +220,14 @@ def test_colour_and_swatch(irisjax, quick, tmp_path):
 def test_colours_out_of_gamut_are_reported(irisjax, quick, monkeypatch, tmp_path):
     import equinox as eqx
 
-    true = measure._measured
+    true = measure._observe
 
     def shifted(*arguments, **options):
         result = true(*arguments, **options)
         bad = eqx.tree_at(lambda c: c.srgb, result, result.srgb.at[0].set(-0.2))
         return eqx.tree_at(lambda c: c.in_gamut, bad, np.asarray(False))
 
-    monkeypatch.setattr(measure, "_measured", shifted)
+    monkeypatch.setattr(measure, "_observe", shifted)
     status, out, _ = irisjax("colour", "--swatch", tmp_path / "swatch.png")
     assert status == 0
     assert "outside sRGB's gamut: the 8-bit values are clipped" in out

@@ -130,7 +130,7 @@ def test_an_analysis_of_data_of_the_model_and_of_others(analysed):
     problem = analysed.problem.with_observations(stepped)
     check = predictive_check(problem, sample(problem, analysed.fit, **SETTINGS), key=KEY)
     assert check.smooth and not check.passed
-    line = sentences.cautions(analysed._replace(check=check))[-1]
+    line = sentences.result_warnings(analysed._replace(check=check))[-1]
     assert line.startswith("WARNING: the model does not produce these data: ")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.cli.render import left_out
+from irisjax.cli.render import missing_light_warning
 from irisjax.optics.conicoid import Conicoid
 from irisjax.render.illumination import Illumination, reflects_inside, trace_flux
 from irisjax.render.lights import Lights
@@ -285,4 +285,4 @@ def test_light_reflected_inside_the_cornea_is_noticed(cornea, limbus, said):
     assert reflects_inside(eye) == said
     for polar in (0.5, 2.0):
         scene = Scene(Iris(), eye=eye, lights=Lights.distant(polar, 0.0))
-        assert (left_out(scene) is not None) == (said and polar > UNIQUE_POLAR)
+        assert (missing_light_warning(scene) is not None) == (said and polar > UNIQUE_POLAR)
