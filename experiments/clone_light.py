@@ -21,8 +21,8 @@ from experiments.common import RESULTS, write
 from experiments.simulated_photographs import FOLDER
 from irisjax.io.photographs import read_photograph
 from irisjax.photo.clone import CloneSettings, Fitted, clone_eye, compare_with_photograph
-from irisjax.photo.light import shade_on
-from irisjax.photo.masks import part_of
+from irisjax.photo.light import find_shade
+from irisjax.photo.masks import cut_part
 from irisjax.photo.texture import LUMINANCE_WEIGHTS, unrefract
 
 TAKEN = 0.2
@@ -57,7 +57,7 @@ def _row(folder: Path, file: str) -> tuple:
     texture, light = found.texture, found.lighting
     truth = true_thickness(file.split("_")[0].removesuffix(".jpg"), texture, folder)
     room = found.fit.values["room"] if light.room else 0.0
-    shade = shade_on(texture, light.lights(), room, found.pose.eye, found.tables)
+    shade = find_shade(texture, light.lights(), room, found.pose.eye, found.tables)
     beside = truth.used & ~shade
     lit = beside & (_light_left(found, folder, file, beside) > 1 - TAKEN)
     whole = np.pi * (texture.iris_radius**2 - texture.pupil_radius**2)
@@ -72,7 +72,7 @@ def _light_left(found: Fitted, folder: Path, file: str, usual) -> np.ndarray:
     """At each texel, share of the light that the same eye gets without lids."""
     limbus = found.boundaries.limbus
     seen, bare = (
-        ndimage.gaussian_filter(part_of(p, limbus).pixels @ LUMINANCE_WEIGHTS, SMOOTH)
+        ndimage.gaussian_filter(cut_part(p, limbus).pixels @ LUMINANCE_WEIGHTS, SMOOTH)
         for p in (read_photograph(folder / f) for f in (file, file.replace("_dirty", "")))
     )
     ratio = np.repeat((seen / np.maximum(bare, 1e-6))[..., None], 3, -1).astype(np.float32)

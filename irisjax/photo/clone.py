@@ -22,8 +22,8 @@ from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_known
 from irisjax.photo import pigments, texels
-from irisjax.photo.light import Lighting, find_lighting, find_veil, light_at, shade_on
-from irisjax.photo.masks import find_mirrored_face, part_of, place_of_part
+from irisjax.photo.light import Lighting, find_lighting, find_shade, find_veil, irradiance_of_iris
+from irisjax.photo.masks import cut_part, find_mirrored_face, part_geometry
 from irisjax.photo.outlines import Boundaries, find_boundaries
 from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
 from irisjax.photo.pose import Pose, find_pose
@@ -41,7 +41,7 @@ from irisjax.photo.thickness import (
     BETA,
     SIGMA,
     Morphology,
-    freckles_of,
+    freckle_mask,
     generic_thickness,
     shape_maps,
     smooth_maps,
@@ -51,8 +51,8 @@ from irisjax.photo.windows import (
     average_maps,
     choose_pixels,
     iris_alone,
+    make_windows,
     ring_radius,
-    windows_of,
 )
 from irisjax.render.environment import LUMINANCE, Environment
 from irisjax.render.illumination import Illumination
@@ -158,7 +158,7 @@ class Outlined:
         """Return the part of the photograph that is used, about the limbus: its first and last
         column, its first and last row.
         """
-        (x, y), side, _ = place_of_part(self.boundaries.limbus)
+        (x, y), side, _ = part_geometry(self.boundaries.limbus)
         rows, columns = self.photograph.shape
         across, down = (max(x, 0), min(x + side, columns) - 1), (max(y, 0), min(y + side, rows) - 1)
         return (*across, *down)
@@ -432,7 +432,7 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
     """Find the camera, and cut out the part of the photograph that it sees."""
     photograph, boundaries = outlined.photograph, outlined.boundaries
     focal = photograph.focal_px if settings.focal_px is None else settings.focal_px
-    part = part_of(photograph, boundaries.limbus)
+    part = cut_part(photograph, boundaries.limbus)
     pupil = part.moved(boundaries.pupil)
     clear, lids = part.clear(pupil)
     focal = None if focal is None else focal / part.reduction
@@ -475,7 +475,7 @@ def flatten_iris(posed: Posed, given: Given = NOTHING) -> Flat:
 
 def shape_iris(flat: Flat, settings: CloneSettings, given: Given = NOTHING) -> Shaped:
     """Find freckles; the stroma's thickness is that of given maps or by Eq. 7."""
-    texture, freckles = flat.texture, freckles_of(flat.texture, given.freckles)
+    texture, freckles = flat.texture, freckle_mask(flat.texture, given.freckles)
     beta = BETA if settings.beta is None else settings.beta
     sigma = SIGMA if settings.sigma is None else settings.sigma
     if given.maps is not None and given.maps.stroma_depth is None:
@@ -537,7 +537,7 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
 
     def windows_with(maps: IrisMaps, turned: bool = False) -> Windows:
         known = light.lights(), integrator, lit.tables, light.room, turned
-        return windows_of(chosen, eye, base, maps.replace(freckles=None), *known)
+        return make_windows(chosen, eye, base, maps.replace(freckles=None), *known)
 
     windows = windows_with(maps, turned=given.maps is None)
     search = pigments.simplex if settings.method == "simplex" else pigments.fit_pigments
@@ -684,7 +684,7 @@ def _light_on_part(lit: Lit) -> np.ndarray | None:
     if lit.lids or seen is None:
         return None
     x, y = map(np.asarray, seen.point[:2])
-    irradiance = light_at(x, y, lit.lighting.lights(), lit.pose.eye, lit.tables)
+    irradiance = irradiance_of_iris(x, y, lit.lighting.lights(), lit.pose.eye, lit.tables)
     return scatter_to_picture(seen, irradiance, lit.pose.camera.shape)
 
 
@@ -700,7 +700,7 @@ def _thickness_by_model(
     shade = darkness = None
     if lit.second is None:  # the light of a second photograph is not known
         room = fit.values["room"] if lit.lighting.room else 0.0
-        shade = shade_on(texture, lit.lighting.lights(), room, eye, lit.tables)
+        shade = find_shade(texture, lit.lighting.lights(), room, eye, lit.tables)
     if freckles.any():
         shares = np.linspace(0, 1, 21) ** 2
         darkness = np.stack([shares, windows.freckle_response(iris, shares)])

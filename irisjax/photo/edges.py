@@ -16,8 +16,8 @@ FINE, ROUGH = 250.0, 100.0
 """Radii in pixels at which outlines are measured, and at which candidates are compared."""
 RAYS = np.arange(120) * (2 * np.pi / 120)  # parameters of the points at which rays cross ellipses
 _FLANK = 0.04  # distance from the best score within which the best fit is sought
-_ODD = 0.01  # mean score that outweighs one standard deviation of the centre, squared
-_LEAST = 0.15  # score of an edge that is used
+_ODDNESS_COST = 0.01  # mean score that outweighs one standard deviation of the centre, squared
+_LEAST_SCORE = 0.15  # score of an edge that is used
 _PRECISION = 0.005  # of an edge, relative to the radius
 _RATIOS = (1.0, 0.93, 0.86)  # trial ratios of the semi-axes, for tilts up to about 30 degrees
 _RINGS = np.geomspace(20, 40, 7)[:-1]  # px: radii of one octave
@@ -55,14 +55,14 @@ class Edges(NamedTuple):
         with a line that falls behind it can have a strong rise, too.
         """
         part = np.where(abs(self.place - 1) <= near, self.score(), 0.0)
-        at, rays = part.argmax(1), np.arange(len(part))
-        value, pitch = part[rays, at], self.place[1] - self.place[0]
-        close = abs(self.place - self.place[at][:, None]) <= _FLANK
-        at = np.where(close, self.fit, 0.0).argmax(1)
-        inner = np.clip(at, 1, self.place.size - 2)
-        below, here, above = (self.fit[rays, inner + k] for k in (-1, 0, 1))
-        bend = np.maximum(2 * here - below - above, 1e-12)
-        place = self.place[at] + pitch * np.clip(0.5 * (above - below) / bend, -0.5, 0.5)
+        index, rays = part.argmax(1), np.arange(len(part))
+        value, pitch = part[rays, index], self.place[1] - self.place[0]
+        close = abs(self.place - self.place[index][:, None]) <= _FLANK
+        index = np.where(close, self.fit, 0.0).argmax(1)
+        inner = np.clip(index, 1, self.place.size - 2)
+        below, middle, above = (self.fit[rays, inner + k] for k in (-1, 0, 1))
+        bend = np.maximum(2 * middle - below - above, 1e-12)
+        place = self.place[index] + pitch * np.clip(0.5 * (above - below) / bend, -0.5, 0.5)
         # A maximum at an end of the range is the flank of an edge elsewhere.
         flank = abs(abs(place - 1) - near) < 1.5 * pitch
         return np.where(flank, 0.0, value), place
@@ -126,7 +126,7 @@ def find_rings(
         number: Most rings of an octave; those with the most votes are returned.
         sideways: By how much less top and bottom of a ring count, 0 to 1, because lids hide them.
     """
-    kept = np.empty((0, 4))
+    rings = np.empty((0, 4))
     low, high = radii
     while low < high:
         scale = min(_RINGS[0] / low, 1.0)
@@ -135,26 +135,26 @@ def find_rings(
         sizes = sizes[sizes / scale < 1.06 * high]
         margin = int(np.ceil(sizes[-1] + 5))
         # Rounded up, so that kernels are cached.
-        least = ((max(n, margin + 1) + margin + 15) // 16 * 16 for n in small.shape)
-        shape = tuple(fft.next_fast_len(n, real=True) for n in least)
+        lengths = ((max(n, margin + 1) + margin + 15) // 16 * 16 for n in small.shape)
+        shape = tuple(fft.next_fast_len(n, real=True) for n in lengths)
         kernels: np.ndarray = np.asarray(_ring_kernels(shape, tuple(sizes.round(3)), sideways))
         parts = np.multiply(kernels, np.asarray(fft.rfft2(_directions(small), shape)))
         votes = np.asarray(fft.irfft2(parts.sum(1), shape))
         votes = votes[:, margin : margin + small.shape[0], margin : margin + small.shape[1]]
-        found = [kept[:0]]
+        candidates = [rings[:0]]
         for radius, vote in zip(sizes, votes, strict=True):
             peak = ndimage.maximum_filter(vote, max(3, int(radius / 3)))
-            at = np.nonzero((vote == peak) & (vote > 0.15))
-            middle = [(c + 0.5) / scale - 0.5 for c in at[::-1]]
-            found.append(np.stack([*middle, 0 * at[0] + radius / scale, vote[at]], -1))
-        most = len(kept) + number
-        for ring in sorted(np.concatenate(found), key=lambda ring: -ring[3]):
-            away, ratio = np.hypot(*(kept[:, :2] - ring[:2]).T), ring[2] / kept[:, 2]
-            alike = (away < 0.3 * kept[:, 2]) & (ratio > 0.75) & (ratio < 1.33)
-            if len(kept) < most and not alike.any():
-                kept = np.vstack([kept, ring])
+            peaks = np.nonzero((vote == peak) & (vote > 0.15))
+            centre = [(c + 0.5) / scale - 0.5 for c in peaks[::-1]]
+            candidates.append(np.stack([*centre, 0 * peaks[0] + radius / scale, vote[peaks]], -1))
+        limit = len(rings) + number
+        for ring in sorted(np.concatenate(candidates), key=lambda ring: -ring[3]):
+            distance, ratio = np.hypot(*(rings[:, :2] - ring[:2]).T), ring[2] / rings[:, 2]
+            similar = (distance < 0.3 * rings[:, 2]) & (ratio > 0.75) & (ratio < 1.33)
+            if len(rings) < limit and not similar.any():
+                rings = np.vstack([rings, ring])
         low *= 2
-    return kept[np.argsort(-kept[:, 3], kind="stable")]
+    return rings[np.argsort(-rings[:, 3], kind="stable")]
 
 
 def reduce_picture(
@@ -164,10 +164,10 @@ def reduce_picture(
     if scale >= 1:
         return picture
     rows, columns = (max(8, round(n * scale)) for n in picture.shape[:2])
-    return by_channel(picture, lambda c: c.resize((columns, rows), Image.Resampling.BILINEAR))
+    return map_channels(picture, lambda c: c.resize((columns, rows), Image.Resampling.BILINEAR))
 
 
-def by_channel(
+def map_channels(
     picture: _Picture, change: Callable[[Image.Image], Image.Image]
 ) -> Float[np.ndarray, "rows_1 columns_1 channels"]:
     """Apply a function of Pillow, three to six times as fast as scikit-image, to each channel."""
@@ -192,7 +192,7 @@ def cut_around(
     return part, moved, lambda e: e.scaled(1 / scale).moved(left, top)
 
 
-def along_rays(
+def sample_along_rays(
     brightness: Brightness, outline: Ellipse, span: tuple[float, float], steps: int
 ) -> _Profiles:
     """Return the brightness at `steps` distances over `span`, relative to an ellipse, along
@@ -200,15 +200,15 @@ def along_rays(
     """
     middle = np.asarray(outline.centre)
     edge = outline.points(RAYS) - middle
-    at = middle + np.linspace(*span, steps)[:, None] * edge[:, None, :]
-    row, column = at[..., 1], at[..., 0]
+    points = middle + np.linspace(*span, steps)[:, None] * edge[:, None, :]
+    row, column = points[..., 1], points[..., 0]
     values = ndimage.map_coordinates(brightness, [row, column], order=1, mode="nearest")
     rows, columns = brightness.shape
     inside = (row > -0.5) & (row < rows - 0.5) & (column > -0.5) & (column < columns - 0.5)
     return np.where(inside, values, np.nan)
 
 
-def steps_along(
+def fit_steps(
     profile: _Profiles, span: tuple[float, float], widths: tuple[float, ...], reach: float
 ) -> Edges:
     """Fit a soft step at each place of profiles over `span`.
@@ -220,21 +220,21 @@ def steps_along(
     band, triangles, n = _step_kernels(span, x.size, widths, reach)
     count, window = x.size - 2 * n, 2 * n + 1
 
-    def windowed(values: np.ndarray) -> np.ndarray:
+    def project(values: np.ndarray) -> np.ndarray:
         return (values @ band).reshape(len(values), count, -1)
 
     missing = np.isnan(profile)
     filled = np.where(missing, 0.0, profile)
     filled = filled - filled.mean(1, keepdims=True)  # against rounding in the sums of squares
     mean = band[:, :: band.shape[1] // count]
-    squares, projected = filled**2 @ mean, windowed(filled)
+    squares, projected = filled**2 @ mean, project(filled)
     total = np.maximum(squares - projected[..., 0] ** 2, 0) + 1e-12
     fit, rise = np.zeros(total.shape), np.zeros(total.shape)
     incomplete = missing.astype(float) @ mean > 1e-9 if missing.any() else False
     for k, triangle in enumerate(triangles):
-        own = projected[..., 3 * k + 1 : 3 * k + 4]
-        low, high = np.moveaxis(own @ triangle[:, :2], -1, 0)
-        explained = 1 - (squares - (own**2).sum(-1) / window) / total
+        parts = projected[..., 3 * k + 1 : 3 * k + 4]
+        low, high = np.moveaxis(parts @ triangle[:, :2], -1, 0)
+        explained = 1 - (squares - (parts**2).sum(-1) / window) / total
         better = (high > low) & (explained > fit) & np.logical_not(incomplete)
         fit, rise = np.where(better, explained, fit), np.where(better, high - low, rise)
     return Edges(x[n : x.size - n], np.minimum(fit, 1), rise)
@@ -274,28 +274,34 @@ def best_outline(
     """
     radius, score = outline.semi_axes[0], score[::3]
     direction = (outline.points(RAYS[::3]) - np.asarray(outline.centre)) / radius
-    best, found = -np.inf, outline
+    best, best_ellipse = -np.inf, outline
     dx, dy = (c.ravel() for c in np.meshgrid(*[np.linspace(-0.15, 0.15, 7)] * 2))
-    sizes, odd = np.linspace(0.82, 1.3, 13), np.zeros(dx.size)
+    sizes, centre_cost = np.linspace(0.82, 1.3, 13), np.zeros(dx.size)
     if expected.centre is not None:
         x, y = np.subtract(expected.centre, outline.centre) / radius
-        odd = _ODD * np.minimum(((dx - x) ** 2 + (dy - y) ** 2) / expected.centre_sd**2, 9)
-    usual = np.array(expected.flattening)
+        centre_cost = _ODDNESS_COST * np.minimum(
+            ((dx - x) ** 2 + (dy - y) ** 2) / expected.centre_sd**2, 9
+        )
+    expected_flattening = np.array(expected.flattening)
     pitch, rays = place[1] - place[0], np.arange(len(score))
     for ratio, angle in [(1.0, 0.0), *product(_RATIOS[1:], np.arange(4) * np.pi / 4)]:
         axes = sizes / np.sqrt(ratio), sizes * np.sqrt(ratio)
-        index = np.round((_distance(dx, dy, *axes, angle, direction) - place[0]) / pitch)
+        index = np.round((_distance_to_ellipse(dx, dy, *axes, angle, direction) - place[0]) / pitch)
         within = (index >= 0) & (index < place.size)
         index = np.clip(index, 0, place.size - 1).astype(int)
-        flat = np.array([np.cos(2 * angle), np.sin(2 * angle)]) * -np.log(ratio) - usual
-        unusual = _ODD * min(float(flat @ flat) / expected.flattening_sd**2, 9.0)
-        mean = np.where(within, score[rays, index], 0.0).mean(-1) - odd - unusual
+        deviation = (
+            np.array([np.cos(2 * angle), np.sin(2 * angle)]) * -np.log(ratio) - expected_flattening
+        )
+        flattening_cost = _ODDNESS_COST * min(
+            float(deviation @ deviation) / expected.flattening_sd**2, 9.0
+        )
+        mean = np.where(within, score[rays, index], 0.0).mean(-1) - centre_cost - flattening_cost
         size, k = np.unravel_index(np.argmax(mean), mean.shape)
         if mean[size, k] > best:
-            best, (a, b) = mean[size, k], (radius * each[size] for each in axes)
-            found = outline.moved(radius * dx[k], radius * dy[k])
-            found = found._replace(semi_axes=(a, b), angle=float(angle))
-    return found
+            best, (a, b) = mean[size, k], (radius * axis[size] for axis in axes)
+            best_ellipse = outline.moved(radius * dx[k], radius * dy[k])
+            best_ellipse = best_ellipse._replace(semi_axes=(a, b), angle=float(angle))
+    return best_ellipse
 
 
 def refine_outline(
@@ -307,88 +313,100 @@ def refine_outline(
     """
     middle = np.asarray(outline.centre)
     points = middle + place[:, None] * (outline.points(RAYS) - middle)
-    if (value > _LEAST).sum() < 12:
+    if (value > _LEAST_SCORE).sum() < 12:
         return FittedEllipse(outline, 0.0, expected.flattening_sd, 1.0)
-    better, sd, place_sd = _fitted(outline, points, weight * value**2 * (value > _LEAST), expected)
-    off = abs(better.relative_radius(points[:, 0], points[:, 1]) - 1)
-    near = off < 0.02 + 0.5 / better.semi_axes[0]
+    ellipse, sd, place_sd = _fit_ellipse(
+        outline, points, weight * value**2 * (value > _LEAST_SCORE), expected
+    )
+    distance = abs(ellipse.relative_radius(points[:, 0], points[:, 1]) - 1)
+    near = distance < 0.02 + 0.5 / ellipse.semi_axes[0]
     support = (weight * value * near).sum() / weight.sum()
-    return FittedEllipse(better, float(support), sd, place_sd)
+    return FittedEllipse(ellipse, float(support), sd, place_sd)
 
 
-def _fitted(start: Ellipse, points, weights, expected: Expected) -> tuple[Ellipse, float, float]:
+def _fit_ellipse(
+    start: Ellipse, points, weights, expected: Expected
+) -> tuple[Ellipse, float, float]:
     """An ellipse by robust least squares: points off by more than about 1 % count little."""
     size, middle = start.mean_radius, np.asarray(start.centre)
     points, weights = points[weights > 0], weights[weights > 0]
-    scaled, sixty = (points - middle) / size * [1, -1], max(0, int(0.6 * len(points)) - 1)
-    known, sd = np.zeros(5), np.full(5, np.inf)
+    scaled, rank = (points - middle) / size * [1, -1], max(0, int(0.6 * len(points)) - 1)
+    prior_mean, sd = np.zeros(5), np.full(5, np.inf)
     correlated = _INDEPENDENT / RAYS.size  # the errors of neighbouring rays are
-    known[3:], sd[3:] = expected.flattening, expected.flattening_sd
+    prior_mean[3:], sd[3:] = expected.flattening, expected.flattening_sd
     if expected.centre is not None:
-        known[:2] = (np.asarray(expected.centre) - middle) / size * [1, -1]
+        prior_mean[:2] = (np.asarray(expected.centre) - middle) / size * [1, -1]
         sd[:2] = expected.centre_sd
 
-    def improved(at, outliers):
+    def improve(parameters, outliers):
         """Fits from several beginnings at once, and what supports each."""
         normal = np.eye(5)
         for outlier in outliers:
-            off, slopes = _misses(at, scaled)
-            share = 1 / (1 + (off / outlier) ** 2) ** 2
+            residuals, slopes = _residuals(parameters, scaled)
+            share = 1 / (1 + (residuals / outlier) ** 2) ** 2
             if outlier == _PRECISION:  # least absolute distances
-                share = 1 / (1 + abs(off) / outlier)
+                share = 1 / (1 + abs(residuals) / outlier)
             # Sharp edges scatter less.
-            near = np.partition(abs(off), sixty, axis=1)[:, : sixty + 1].mean(1, keepdims=True)
+            near = np.partition(abs(residuals), rank, axis=1)[:, : rank + 1].mean(1, keepdims=True)
             precision = np.clip(2 * near, 0.2 * _PRECISION, _PRECISION)
-            each = correlated * weights * share / precision**2
-            weighted = each[:, None, :] * slopes
+            weight = correlated * weights * share / precision**2
+            weighted = weight[:, None, :] * slopes
             normal = weighted @ slopes.swapaxes(1, 2) + np.diag(sd**-2.0)
-            towards = (weighted @ off[..., None])[..., 0] + (at - known) * sd**-2.0
-            change = np.linalg.solve(normal + 1e-6 * np.eye(5), towards[..., None])[..., 0]
-            at = at - np.clip(change, -0.1, 0.1)
-        held = (weights / (1 + (_misses(at, scaled)[0] / 0.01) ** 2)).sum(1)
-        worth = correlated * held - _PRECISION**2 / 0.01**2 * (((at - known) / sd) ** 2).sum(1)
-        return worth, at, normal
+            gradient = (weighted @ residuals[..., None])[..., 0] + (
+                parameters - prior_mean
+            ) * sd**-2.0
+            change = np.linalg.solve(normal + 1e-6 * np.eye(5), gradient[..., None])[..., 0]
+            parameters = parameters - np.clip(change, -0.1, 0.1)
+        supported = (weights / (1 + (_residuals(parameters, scaled)[0] / 0.01) ** 2)).sum(1)
+        merit = correlated * supported - _PRECISION**2 / 0.01**2 * (
+            ((parameters - prior_mean) / sd) ** 2
+        ).sum(1)
+        return merit, parameters, normal
 
     # A lid's edge attracts the ellipse: of several beginnings the one that most edges support.
-    begin, ends = np.array([0, 0, 0, *start.flattening]), (0.02,) * 3 + (0.01,) * 6
-    absolute = improved(begin[None], [_PRECISION] * 6)[1][0]
-    worth, fits, normals = improved(
-        np.stack([begin, absolute, np.append(begin[:3], known[3:])]), ends
+    initial, scales = np.array([0, 0, 0, *start.flattening]), (0.02,) * 3 + (0.01,) * 6
+    absolute = improve(initial[None], [_PRECISION] * 6)[1][0]
+    merit, fits, normals = improve(
+        np.stack([initial, absolute, np.append(initial[:3], prior_mean[3:])]), scales
     )
-    best = int(np.argmax(worth))
-    at, spread = fits[best], np.linalg.inv(normals[best]).diagonal()
-    (x, y), grown, flat = middle + size * at[:2] * [1, -1], size * np.exp(at[2]), at[3:]
-    flatter, angle = np.hypot(*flat), 0.5 * np.arctan2(flat[1], flat[0])
-    axes = grown * np.exp(0.5 * flatter), grown * np.exp(-0.5 * flatter)
+    best = int(np.argmax(merit))
+    parameters, spread = fits[best], np.linalg.inv(normals[best]).diagonal()
+    (x, y), radius, flattening = (
+        middle + size * parameters[:2] * [1, -1],
+        size * np.exp(parameters[2]),
+        parameters[3:],
+    )
+    stretch, angle = np.hypot(*flattening), 0.5 * np.arctan2(flattening[1], flattening[0])
+    axes = radius * np.exp(0.5 * stretch), radius * np.exp(-0.5 * stretch)
     flattening_sd, place_sd = np.sqrt(spread[3:].mean()), np.sqrt(spread[:3].sum())
     return Ellipse((x, y), axes, angle % np.pi), float(flattening_sd), float(place_sd)
 
 
-def _misses(p, points):
+def _residuals(p, points):
     """Distances of points (right, up) from ellipses of centre, logarithm of the mean radius and
     flattening, relative to the ellipse, and their derivatives by these five.
     """
     x, y, size, p3, p4 = np.moveaxis(p[..., None], -2, 0)
-    flat = np.maximum(np.hypot(p3, p4), 1e-4)
-    even, uneven = np.cosh(flat / 2), np.sinh(flat / 2) / flat
-    bend, half = (even / 2 - uneven) / flat**2, uneven / 2
+    flattening = np.maximum(np.hypot(p3, p4), 1e-4)
+    even, uneven = np.cosh(flattening / 2), np.sinh(flattening / 2) / flattening
+    bend, half = (even / 2 - uneven) / flattening**2, uneven / 2
     u, v = points[:, 0] - x, points[:, 1] - y
-    turned, across = p3 * u + p4 * v, p4 * u - p3 * v
-    a, b = even * u - uneven * turned, even * v - uneven * across
-    away = np.exp(-size) * np.hypot(a, b)
-    a, b = (np.exp(-2 * size) * part / (away + 1e-12) for part in (a, b))
-    bent = a * (half * u - bend * turned) + b * (half * v - bend * across)
+    stretched, across = p3 * u + p4 * v, p4 * u - p3 * v
+    a, b = even * u - uneven * stretched, even * v - uneven * across
+    distance = np.exp(-size) * np.hypot(a, b)
+    a, b = (np.exp(-2 * size) * part / (distance + 1e-12) for part in (a, b))
+    bending = a * (half * u - bend * stretched) + b * (half * v - bend * across)
     slopes = [
         -a * (even - uneven * p3) + b * uneven * p4,
         a * uneven * p4 - b * (even + uneven * p3),
-        -away,
-        p3 * bent - uneven * (a * u - b * v),
-        p4 * bent - uneven * (a * v + b * u),
+        -distance,
+        p3 * bending - uneven * (a * u - b * v),
+        p4 * bending - uneven * (a * v + b * u),
     ]
-    return away - 1, np.stack(slopes, -2)
+    return distance - 1, np.stack(slopes, -2)
 
 
-def _distance(dx, dy, a, b, angle, direction):
+def _distance_to_ellipse(dx, dy, a, b, angle, direction):
     """From the origin to ellipses about (dx, dy): (semi-axes a and b, centres, unit directions)."""
     cos, sin = np.cos(angle), np.sin(angle)
     a, b = a[:, None, None], b[:, None, None]
@@ -416,9 +434,9 @@ def _ring_kernels(shape: tuple[int, ...], radii: tuple[float, ...], sideways: fl
     """
     n, kernels = int(np.ceil(radii[-1] + 5)), []
     y, x = np.mgrid[-n : n + 1, -n : n + 1]
-    away = np.hypot(x, y) + 1e-9
+    distance = np.hypot(x, y) + 1e-9
     for radius in radii:
-        ring = np.exp(-0.5 * ((away - radius) / 2) ** 2) * (1 - sideways * (y / away) ** 2)
+        ring = np.exp(-0.5 * ((distance - radius) / 2) ** 2) * (1 - sideways * (y / distance) ** 2)
         # This is a correlation, and the kernel is odd: its mirror image is its negative.
-        kernels.append(-ring / ring.sum() / away * np.stack([x, y]))
+        kernels.append(-ring / ring.sum() / distance * np.stack([x, y]))
     return fft.rfft2(np.array(kernels, np.float32), shape)

@@ -12,7 +12,7 @@ from irisjax._types import PRNGKey
 from irisjax.measure.colour import lab_of_srgb, srgb_encode
 from irisjax.numerics.streams import words_of
 from irisjax.photo.clone import Outlined
-from irisjax.photo.masks import Part, part_of, regions_that
+from irisjax.photo.masks import Part, cut_part, select_regions
 from irisjax.photo.photograph import Brightness, Colours, Ellipse, Mask
 from irisjax.photo.texture import LUMINANCE_WEIGHTS, masked_mean
 
@@ -31,7 +31,7 @@ _WHITE_SD = 0.18, 0.12, 0.13
 _WHITE_CORRELATION = -0.6  # of the two ratios: yellower whites are redder
 # Light on a frontal sheet of paper at the eye's place over that on the white, which is turned aside
 # and shaded by the face, decided: logarithm and standard deviation, with both sides and with one.
-_TURNED, _TURNED_SD, _ONE_SIDE_SD = 0.15, 0.15, 0.3
+_TURNED_LIGHT, _TURNED_SD, _ONE_SIDE_SD = 0.15, 0.15, 0.3
 _TINT_SD = 0.03  # of the light's tint between iris and white where only one side is seen
 # Cameras that are not calibrated, decided: standard deviations of the logarithm of the contrast and
 # of the channels.
@@ -116,17 +116,17 @@ class EyeColour(NamedTuple):
     doubts: tuple[str, ...]
 
 
-def colours_of(found: Outlined, *, key: PRNGKey) -> tuple[EyeColour, Part]:
+def colours_of(outlined: Outlined, *, key: PRNGKey) -> tuple[EyeColour, Part]:
     """Measure the colours of an outlined eye, as `measure_eye_colour` does; also return the part of
     the photograph whose pixels they are.
 
     Raises:
         ValueError: As of `measure_eye_colour`, and for a photograph without colours.
     """
-    photograph, outlines = found.photograph, found.boundaries
+    photograph, outlines = outlined.photograph, outlined.boundaries
     if photograph.grey:
         raise ValueError(f"{photograph.name}: the photograph has no colours")
-    part = part_of(photograph, outlines.limbus)
+    part = cut_part(photograph, outlines.limbus)
     pupil = part.moved(outlines.pupil)
     clear, _ = part.clear(pupil)
     try:
@@ -164,37 +164,37 @@ def measure_eye_colour(
         raise ValueError(f"only {100 * share:.0f} % of the iris is visible, too little to measure")
     white = find_white(part, limbus_width, part.pixels[visible])
     light = part.pixels / white.sides.mean(0)
-    clear = clear & ~_hiding(light, visible, depth, pupil, part.limbus)
+    clear = clear & ~_find_hidden(light, visible, depth, pupil, part.limbus)
     visible = iris & clear
-    veil = _veil(part, pupil, visible)
+    veil = _reflected_colour(part, pupil, visible)
     draws = _Draws.of(white, veil, random)
     angle = _angles(part.outside.shape, part.limbus)
     borders = {WHOLE_IRIS: (inner, outer), **RINGS}
     regions, samples = {}, {}
     for name, (low, high) in borders.items():
         ring = (depth > low) & (depth < high)
-        seen = ring & clear
-        if seen.sum() < _LEAST_IRIS[0] * ring.sum() or seen.sum() < _LEAST_IRIS[1] / 4:
+        shown = ring & clear
+        if shown.sum() < _LEAST_IRIS[0] * ring.sum() or shown.sum() < _LEAST_IRIS[1] / 4:
             continue
-        hidden = 1 - seen.sum() / ring.sum()
-        mean, covariance = _mean_and_error(part.pixels[seen], angle[seen], hidden)
+        hidden = 1 - shown.sum() / ring.sum()
+        mean, covariance = _mean_and_error(part.pixels[shown], angle[shown], hidden)
         samples[name] = draws.lab(mean, covariance, random)
-        regions[name] = _region(samples[name], draws.colour(mean), 1 - hidden)
+        regions[name] = _region_colour(samples[name], draws.colour(mean), 1 - hidden)
     difference = None
     if {"pupillary ring", "ciliary ring"} <= samples.keys():
-        off = samples["pupillary ring"] - samples["ciliary ring"]
-        difference = np.quantile(off, [0.5, 0.025, 0.975], axis=1)
-    dominant = _dominant(part.pixels, visible, part.limbus, draws, random)
+        differences = samples["pupillary ring"] - samples["ciliary ring"]
+        difference = np.quantile(differences, [0.5, 0.025, 0.975], axis=1)
+    dominant = _dominant_colours(part.pixels, visible, part.limbus, draws, random)
     doubts = _doubts(white, veil, part.pixels[visible].mean(0), 1 - share)
     return EyeColour(regions, dominant, difference, white, veil, visible, doubts)
 
 
 def depth_in_iris(shape: tuple[int, ...], pupil: Ellipse, limbus: Ellipse) -> Brightness:
     """Return how far each pixel lies on the way from the pupil (0) to the limbus (1)."""
-    past = pupil.radii(shape) - 1
-    left = (1 - limbus.radii(shape)) * (limbus.mean_radius / pupil.mean_radius)
-    total = past + left
-    return past / np.where(abs(total) < 1e-6, 1e-6, total)
+    from_pupil = pupil.radii(shape) - 1
+    to_limbus = (1 - limbus.radii(shape)) * (limbus.mean_radius / pupil.mean_radius)
+    total = from_pupil + to_limbus
+    return from_pupil / np.where(abs(total) < 1e-6, 1e-6, total)
 
 
 def find_white(
@@ -218,35 +218,35 @@ def find_white(
     cut_off = np.asarray(ndimage.binary_dilation(part.saturated), bool)
     luminance = pixels @ LUMINANCE_WEIGHTS
     tint = np.log(np.maximum(pixels[..., 0], 1e-4) / np.maximum(pixels[..., 2], 1e-4))
-    free, marked = beside & ~cut_off, np.zeros(shape, bool)
-    nothing = "no white of the eye is seen beside the iris, by which the light could be corrected"
-    if not free.any():
-        raise ValueError(nothing)
-    bright = free & (luminance > _BRIGHT * np.quantile(luminance[free], 0.9))
-    least = float(np.quantile(tint[bright], 0.2))
-    skin = float(np.quantile(tint[around & ~cut_off & (luminance > 0)], 0.9))
-    if least > _RED and skin - least < _THAN_SKIN:
-        raise ValueError(nothing)
-    dark, sides = _OVER_IRIS * float(np.median(iris @ LUMINANCE_WEIGHTS)), []
+    usable, white = beside & ~cut_off, np.zeros(shape, bool)
+    message = "no white of the eye is seen beside the iris, by which the light could be corrected"
+    if not usable.any():
+        raise ValueError(message)
+    bright = usable & (luminance > _BRIGHT * np.quantile(luminance[usable], 0.9))
+    least_red = float(np.quantile(tint[bright], 0.2))
+    skin_red = float(np.quantile(tint[around & ~cut_off & (luminance > 0)], 0.9))
+    if least_red > _RED and skin_red - least_red < _THAN_SKIN:
+        raise ValueError(message)
+    least_luminance, sides = _OVER_IRIS * float(np.median(iris @ LUMINANCE_WEIGHTS)), []
     for side in (np.cos(angle) < 0, np.cos(angle) > 0):
-        there = free & side
-        if not there.any():
+        candidates = usable & side
+        if not candidates.any():
             continue
-        shown = there & (tint < least + _REDDER)
-        shown &= luminance > _BRIGHT * np.quantile(luminance[there], 0.9)
-        shown = _largest(shown)
-        colour = np.median(pixels[shown], axis=0) if shown.any() else np.zeros(3)
-        enough = shown.sum() > max(_LEAST_WHITE[0] * (beside & side).sum(), _LEAST_WHITE[1])
-        if enough and colour @ LUMINANCE_WEIGHTS > dark:
+        chosen = candidates & (tint < least_red + _REDDER)
+        chosen &= luminance > _BRIGHT * np.quantile(luminance[candidates], 0.9)
+        chosen = _largest_part(chosen)
+        colour = np.median(pixels[chosen], axis=0) if chosen.any() else np.zeros(3)
+        is_enough = chosen.sum() > max(_LEAST_WHITE[0] * (beside & side).sum(), _LEAST_WHITE[1])
+        if is_enough and colour @ LUMINANCE_WEIGHTS > least_luminance:
             sides.append(colour)
-            marked |= shown
+            white |= chosen
     if not sides:
-        raise ValueError(nothing)
+        raise ValueError(message)
     burnt = (beside & part.saturated).sum()
-    return WhiteOfEye(marked, np.array(sides, float), float(burnt / (burnt + marked.sum())))
+    return WhiteOfEye(white, np.array(sides, float), float(burnt / (burnt + white.sum())))
 
 
-def _largest(mask: Mask) -> Mask:
+def _largest_part(mask: Mask) -> Mask:
     """The largest connected part of a mask, across thin gaps such as vessels, or nothing."""
     label = np.asarray(measure.label(ndimage.binary_closing(mask, iterations=_GAP)))
     sizes = np.bincount(label[mask], minlength=2)
@@ -269,22 +269,25 @@ class _Draws(NamedTuple):
     def of(cls, white: WhiteOfEye, veil: np.ndarray, random: np.random.Generator) -> "_Draws":
         normal = random.standard_normal((_DRAWS, 12))
         normal[0] = 0
-        apart = np.log(white.sides[0] / white.sides[-1]) if len(white.sides) > 1 else None
-        if apart is None:
+        log_ratio = np.log(white.sides[0] / white.sides[-1]) if len(white.sides) > 1 else None
+        if log_ratio is None:
             light, tint = _ONE_SIDE_SD, np.full(3, _TINT_SD)
         else:
-            mean = apart @ LUMINANCE_WEIGHTS
-            light, tint = np.hypot(_TURNED_SD, 0.1 * mean), 0.35 * abs(apart - mean)
+            mean = log_ratio @ LUMINANCE_WEIGHTS
+            light, tint = np.hypot(_TURNED_SD, 0.1 * mean), 0.35 * abs(log_ratio - mean)
         # White: luminance, then red and blue over green.
         second = _WHITE_CORRELATION * normal[:, 1]
         second = second + np.sqrt(1 - _WHITE_CORRELATION**2) * normal[:, 2]
         red, blue = (
             np.exp(_WHITE[i] + _WHITE_SD[i] * z) for i, z in ((1, normal[:, 1]), (2, second))
         )
-        own = np.stack([red, np.ones(_DRAWS), blue], -1)
-        own *= np.exp(_WHITE[0] + _WHITE_SD[0] * normal[:, :1]) / (own @ LUMINANCE_WEIGHTS)[:, None]
-        light_off = light * normal[:, 3:4] - _TURNED
-        factor = own * np.exp(light_off + np.hypot(tint, _CHANNEL_SD) * normal[:, 4:7])
+        white_colour = np.stack([red, np.ones(_DRAWS), blue], -1)
+        white_colour *= (
+            np.exp(_WHITE[0] + _WHITE_SD[0] * normal[:, :1])
+            / (white_colour @ LUMINANCE_WEIGHTS)[:, None]
+        )
+        log_light = light * normal[:, 3:4] - _TURNED_LIGHT
+        factor = white_colour * np.exp(log_light + np.hypot(tint, _CHANNEL_SD) * normal[:, 4:7])
         contrast = np.exp(_CONTRAST_SD * normal[:, 7:8])
         veils = veil * (1 + _VEIL_SD * normal[:, 8:9]) + _STEP * normal[:, 9:12]
         return cls(white.sides.mean(0), factor, contrast, np.maximum(veils, 0))
@@ -304,7 +307,7 @@ class _Draws(NamedTuple):
         return np.asarray(lab_of_srgb(self.linear(mean + scatter))).T
 
 
-def _region(samples: np.ndarray, srgb: np.ndarray, share: float) -> RegionColour:
+def _region_colour(samples: np.ndarray, srgb: np.ndarray, share: float) -> RegionColour:
     low, middle, high = np.quantile(samples, [0.025, 0.5, 0.975], axis=1)
     return RegionColour(middle, low, high, srgb, float(share))
 
@@ -322,7 +325,7 @@ def _mean_and_error(pixels: np.ndarray, angle: np.ndarray, hidden: float):
     return pixels.mean(0), covariance
 
 
-def _dominant(
+def _dominant_colours(
     pixels: Colours, visible: Mask, limbus: Ellipse, draws: _Draws, random: np.random.Generator
 ) -> tuple[RegionColour, ...]:
     """Find the colours that make up the iris, by k-means in L*a*b*."""
@@ -333,37 +336,37 @@ def _dominant(
         ],
         -1,
     )
-    places = np.linspace(0, len(smooth) - 1, _CLUSTERED).astype(int)
-    chosen = smooth[places]
+    sampled = np.linspace(0, len(smooth) - 1, _CLUSTERED).astype(int)
+    chosen = smooth[sampled]
     middle = _Draws(draws.white, *(values[:1] for values in draws[1:]))
     lab = np.asarray(lab_of_srgb(middle.linear(chosen)))
-    weighed = lab * (_LIGHTNESS, 1, 1)
-    axis = np.linalg.eigh(np.cov(weighed.T))[1][:, -1]
-    thirds = np.array_split(weighed[np.argsort(weighed @ axis, kind="stable")], 3)
+    weighted = lab * (_LIGHTNESS, 1, 1)
+    axis = np.linalg.eigh(np.cov(weighted.T))[1][:, -1]
+    thirds = np.array_split(weighted[np.argsort(weighted @ axis, kind="stable")], 3)
     starts = np.stack([third.mean(0) for third in thirds])
-    label = kmeans2(weighed, starts, minit="matrix", missing="warn")[1]
-    while len(known := np.unique(label)) > 1:
-        size = np.array([np.mean(label == k) for k in known])
-        centres = np.stack([weighed[label == k].mean(0) for k in known])
-        apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
-        np.fill_diagonal(apart, np.inf)
+    label = kmeans2(weighted, starts, minit="matrix", missing="warn")[1]
+    while len(labels := np.unique(label)) > 1:
+        size = np.array([np.mean(label == k) for k in labels])
+        centres = np.stack([weighted[label == k].mean(0) for k in labels])
+        distances = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
+        np.fill_diagonal(distances, np.inf)
         small = int(size.argmin())
-        one, other = np.unravel_index(int(apart.argmin()), apart.shape)
+        one, other = np.unravel_index(int(distances.argmin()), distances.shape)
         if size[small] < _SMALL:
-            one, other = small, int(apart[small].argmin())
-        elif apart[one, other] > _ALIKE:
+            one, other = small, int(distances[small].argmin())
+        elif distances[one, other] > _ALIKE:
             break
-        label[label == known[one]] = known[other]
-    found = []
+        label[label == labels[one]] = labels[other]
+    regions = []
     for k in np.unique(label):
-        own = chosen[label == k]
-        mean, none = own.mean(0), np.zeros((3, 3))
-        samples = draws.lab(mean, none, random)
-        found.append(_region(samples, draws.colour(mean), len(own) / len(chosen)))
-    return tuple(sorted(found, key=lambda region: -region.share))
+        members = chosen[label == k]
+        mean, zero = members.mean(0), np.zeros((3, 3))
+        samples = draws.lab(mean, zero, random)
+        regions.append(_region_colour(samples, draws.colour(mean), len(members) / len(chosen)))
+    return tuple(sorted(regions, key=lambda region: -region.share))
 
 
-def _hiding(
+def _find_hidden(
     light: Colours, visible: Mask, depth: Brightness, pupil: Ellipse, limbus: Ellipse
 ) -> Mask:
     """Find what else hides the iris, by light relative to the white: broad reflections that are not
@@ -371,41 +374,41 @@ def _hiding(
     """
     width, place = max(1, round(_BROAD * limbus.mean_radius)), visible.nonzero()
     # Between bright fibres it is dark; a reflection is bright throughout.
-    held = np.where(visible[..., None], light, np.inf)
-    smooth = ndimage.minimum_filter(held, (2 * width + 1, 2 * width + 1, 1))[place]
+    masked = np.where(visible[..., None], light, np.inf)
+    smooth = ndimage.minimum_filter(masked, (2 * width + 1, 2 * width + 1, 1))[place]
     ring = (depth[place] * 16).astype(int)
     usual = np.zeros((16, 3))
     for k in np.unique(ring):
         usual[k] = np.quantile(smooth[ring == k], _LESS, axis=0)
-    more = smooth - usual[ring]
-    scatter = np.median(abs(more), axis=0)
+    excess = smooth - usual[ring]
+    scatter = np.median(abs(excess), axis=0)
     # More of all channels, or as much more as in the pupil, which is black.
-    least, high, low = more.min(-1), np.zeros(visible.shape, bool), np.zeros(visible.shape, bool)
+    least, high, low = excess.min(-1), np.zeros(visible.shape, bool), np.zeros(visible.shape, bool)
     limit = max(_MIRRORED, 4 * scatter.max())
-    high[place] = (least > limit) & (least > _NEUTRAL * more.max(-1))
+    high[place] = (least > limit) & (least > _NEUTRAL * excess.max(-1))
     low[place] = least > 0.7 * limit
     inside = light[pupil.radii(visible.shape) < 0.9]
     if len(inside):
-        window = np.quantile(inside, 0.9, axis=0) - np.quantile(inside, 0.1, axis=0)
-        if (window > 2 * scatter).any():
-            share = more / np.maximum(window, 1e-6)
+        contrast = np.quantile(inside, 0.9, axis=0) - np.quantile(inside, 0.1, axis=0)
+        if (contrast > 2 * scatter).any():
+            share = excess / np.maximum(contrast, 1e-6)
             high[place] |= (share.min(-1) > 0.3) & (share.max(-1) < 2)
 
     def sharp(region, at):
         return high[at].mean() > _SHARP
 
-    found = regions_that(sharp, high | low)
+    hidden = select_regions(sharp, high | low)
     # Lids are redder than the rest of a ring, above and below.
     tint = smooth[:, 0] / np.maximum(smooth.sum(-1), 1e-4)
     tint -= np.asarray(ndimage.median(tint, ring, np.arange(16)))[ring]
     upright = abs(np.sin(_angles(visible.shape, limbus)[place])) > 0.6
     steps = np.zeros(visible.shape)
     steps[place] = (upright & (tint > _SKIN)).astype(int) * (1 + (depth[place] > 0.8))
-    found |= filters.apply_hysteresis_threshold(steps, 0.5, 1.5)
-    return np.asarray(ndimage.binary_dilation(found, iterations=2 * width))
+    hidden |= filters.apply_hysteresis_threshold(steps, 0.5, 1.5)
+    return np.asarray(ndimage.binary_dilation(hidden, iterations=2 * width))
 
 
-def _veil(part: Part, pupil: Ellipse, visible: Mask) -> np.ndarray:
+def _reflected_colour(part: Part, pupil: Ellipse, visible: Mask) -> np.ndarray:
     """Return the reflections' colour over the pupil, which is black, at most most of the iris's."""
     inside = (pupil.radii(visible.shape) < 0.8) & ~part.outside
     darkest = 0.9 * np.quantile(part.pixels[visible], 0.02, axis=0)

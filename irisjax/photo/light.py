@@ -17,12 +17,12 @@ from irisjax.render.project import View, scatter_to_picture
 from irisjax.render.scene import ENVIRONMENT_LIGHTS
 from irisjax.render.shading import incident_flux
 
-_LEAST = 5  # pixels of a highlight
-_MOST = 6  # lamps
-_WITHIN = 0.85  # of the limbus, where highlights are those of the cornea
-_CUT_OFF = 0.97  # brightness above which it may be
-_GATHERED = 1.131**2  # gain of light from all round by the cornea: the pupil's magnification²
-_INSIDE = 0.8  # relative radius of the pupil within which nothing of its edge is seen
+_LEAST_AREA = 5  # pixels of a highlight
+_MOST_LAMPS = 6  # lamps
+_CORNEA_RADIUS = 0.85  # of the limbus, where highlights are those of the cornea
+_CLIPPED = 0.97  # brightness above which it may be
+_CORNEAL_GAIN = 1.131**2  # gain of light from all round by the cornea: the pupil's magnification²
+_PUPIL_CORE = 0.8  # relative radius of the pupil within which nothing of its edge is seen
 SHADED = 0.7  # light below which a place of the iris counts as shade, relative to the usual light
 
 
@@ -49,8 +49,8 @@ class Lighting(NamedTuple):
         if self.environment is None:
             assert self.lamps is not None
             return self.lamps
-        around = self.environment.to_lights(self.environment_lights)
-        return around if self.lamps is None else self.lamps + around
+        surroundings = self.environment.to_lights(self.environment_lights)
+        return surroundings if self.lamps is None else self.lamps + surroundings
 
 
 def find_lighting(part: Colours, limbus: Ellipse, pose: Pose, view: View) -> Lighting:
@@ -67,26 +67,29 @@ def find_lighting(part: Colours, limbus: Ellipse, pose: Pose, view: View) -> Lig
         pose: Camera and eye.
         view: What the camera sees of the eye.
     """
-    seen, shape, found = view.mirror, pose.camera.shape, list[tuple[Any, float]]()
-    if seen is not None:
+    film, shape, lamps_found = view.mirror, pose.camera.shape, list[tuple[Any, float]]()
+    if film is not None:
         directions = scatter_to_picture(
-            seen, np.stack([np.asarray(c) for c in seen.mirror], -1), shape
+            film, np.stack([np.asarray(c) for c in film.mirror], -1), shape
         )
         brightness = part.max(-1)
-        middle = limbus.radii(shape) < _WITHIN
-        usual = np.median(brightness[middle])
-        cut_off = middle & (brightness > max(_CUT_OFF, 4 * usual))
-        glow = np.asarray(measure.label(middle & (brightness > 0.5 * (_CUT_OFF + usual))))
-        spots = measure.regionprops(glow, cut_off.astype(float))
-        spots = [s for s in spots if s.area >= _LEAST and s.intensity_max > 0]
-        for spot in sorted(spots, key=lambda s: -s.area)[:_MOST]:
-            at = directions[tuple(spot.coords.T)]
-            on_cornea = at.any(-1)
+        middle = limbus.radii(shape) < _CORNEA_RADIUS
+        median = np.median(brightness[middle])
+        clipped = middle & (brightness > max(_CLIPPED, 4 * median))
+        glow = np.asarray(measure.label(middle & (brightness > 0.5 * (_CLIPPED + median))))
+        spots = measure.regionprops(glow, clipped.astype(float))
+        spots = [s for s in spots if s.area >= _LEAST_AREA and s.intensity_max > 0]
+        for spot in sorted(spots, key=lambda s: -s.area)[:_MOST_LAMPS]:
+            mirrored = directions[tuple(spot.coords.T)]
+            on_cornea = mirrored.any(-1)
             if on_cornea.mean() >= 0.5:
-                found.append((at[on_cornea].mean(0), spot.area))
-    if not found:
+                lamps_found.append((mirrored[on_cornea].mean(0), spot.area))
+    if not lamps_found:
         return Lighting(None, Environment.uniform(), found=0)
-    (x, y, z), area = np.transpose([t for t, _ in found]), np.array([a for _, a in found], float)
+    (x, y, z), area = (
+        np.transpose([t for t, _ in lamps_found]),
+        np.array([a for _, a in lamps_found], float),
+    )
     polar, azimuth = np.arctan2(np.hypot(x, y), -z), np.arctan2(y, x)
     # The image of a lamp appears at a distance of half the cornea's radius.
     size = np.sqrt(area / np.pi) * float(pose.camera.width) / pose.camera.size[0]
@@ -94,7 +97,7 @@ def find_lighting(part: Colours, limbus: Ellipse, pose: Pose, view: View) -> Lig
     radius = np.clip(2 * size / float(pose.eye.cornea.anterior.radius), 0.005, 0.5)
     numbers: list[Any] = [polar, azimuth, np.pi * area / area.sum()]
     lamps = Lights.distant(*numbers, radius=cast(Any, radius))
-    return Lighting(lamps, room=True, found=len(found))
+    return Lighting(lamps, room=True, found=len(lamps_found))
 
 
 def find_veil(
@@ -107,18 +110,18 @@ def find_veil(
     it. It is less than what an iris lit from all round would have where the room is dark before the
     eye, and where a polariser or the tone curve has taken it off.
     """
-    film, inside = view.mirror, pupil.radii(clear.shape) < _INSIDE
+    film, inside = view.mirror, pupil.radii(clear.shape) < _PUPIL_CORE
     if film is None or not inside.any():
         return None
     reflectance = scatter_to_picture(film, np.asarray(film.reflectance), clear.shape)[..., None]
     mirrored = pixels / np.maximum(reflectance, 1e-6)
-    found = np.quantile(mirrored[inside], 0.25, axis=0)
+    veil = np.quantile(mirrored[inside], 0.25, axis=0)
     if clear.any():
-        found = np.minimum(found, 0.9 * np.quantile(mirrored[clear], 0.02, axis=0))
-    return np.maximum(found, 0)
+        veil = np.minimum(veil, 0.9 * np.quantile(mirrored[clear], 0.02, axis=0))
+    return np.maximum(veil, 0)
 
 
-def light_at(
+def irradiance_of_iris(
     x: np.ndarray, y: np.ndarray, lights: Lights, eye: Eye, tables: Illumination | None
 ) -> np.ndarray:
     """Return the irradiance of the iris at places of its plane (mm), in the chamber."""
@@ -128,7 +131,7 @@ def light_at(
     return sampled(flux.astype(np.float32), *((c / reach + 1) * middle for c in (y, x)))
 
 
-def shade_on(
+def find_shade(
     texture: Unrefracted, lights: Lights, room: float, eye: Eye, tables: Illumination | None
 ) -> Mask:
     """Return the texels that get less than `SHADED` of the median light: the shadow of the limbus.
@@ -136,7 +139,9 @@ def shade_on(
     Beside the lights there may be a `room` of some radiance all round.
     """
     radius, angle = texture.radius(), texture.angle()
-    lit = light_at(radius * np.cos(angle), radius * np.sin(angle), lights, eye, tables)
-    lit += np.float32(np.pi * _GATHERED * room)
-    usual = np.median(lit[texture.valid]) if texture.valid.any() else 0.0
-    return lit < SHADED * usual
+    irradiance = irradiance_of_iris(
+        radius * np.cos(angle), radius * np.sin(angle), lights, eye, tables
+    )
+    irradiance += np.float32(np.pi * _CORNEAL_GAIN * room)
+    median = np.median(irradiance[texture.valid]) if texture.valid.any() else 0.0
+    return irradiance < SHADED * median

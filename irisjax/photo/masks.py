@@ -10,7 +10,7 @@ from PIL import Image
 from scipy import ndimage, spatial, stats
 from skimage import filters, measure, morphology
 
-from irisjax.photo.edges import by_channel
+from irisjax.photo.edges import map_channels
 from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
 from irisjax.photo.texture import LUMINANCE_WEIGHTS, Unrefracted, masked_mean
 from irisjax.render.project import MirrorPixels, scatter_to_picture
@@ -87,16 +87,16 @@ class Part(NamedTuple):
         """
         lids = find_lids(self.pixels, self.limbus, pupil)
         ring = self.limbus.mask(self.outside.shape) & ~pupil.mask(self.outside.shape)
-        covered = find_highlights(self.pixels, self.saturated & ring, ring)
-        covered |= find_reflections(self.pixels, self.limbus, pupil, ring & ~lids)
-        covered |= lids | find_lashes(self.pixels, self.limbus, lids)
-        clear = ring & ~covered & ~self.outside
+        hidden = find_highlights(self.pixels, self.saturated & ring, ring)
+        hidden |= find_reflections(self.pixels, self.limbus, pupil, ring & ~lids)
+        hidden |= lids | find_lashes(self.pixels, self.limbus, lids)
+        clear = ring & ~hidden & ~self.outside
         clear &= ~find_lash_shadows(self.pixels, self.limbus, lids, clear)
         # Strips between masked parts are part of these.
         narrow = _NARROW * self.limbus.semi_axes[0]
         broad = np.asarray(ndimage.distance_transform_edt(clear)) > narrow
         clear &= np.asarray(ndimage.distance_transform_edt(~broad)) < narrow + 1.5
-        return without_islands(clear), lids
+        return remove_islands(clear), lids
 
 
 def find_mirrored_face(
@@ -116,8 +116,8 @@ def find_mirrored_face(
     face = inside & (back > -np.cos(np.radians(_FACE_ANGLE))) & (reflectance > 0)
     if not (face.any() and around.any()):
         return np.zeros_like(outside)
-    seen = masked_mean(luminance, inside, _SMOOTH * limbus.semi_axes[0])
-    return face & (reflectance * np.median(luminance[around]) > _FACE_SHARE * seen)
+    luminance_of_iris = masked_mean(luminance, inside, _SMOOTH * limbus.semi_axes[0])
+    return face & (reflectance * np.median(luminance[around]) > _FACE_SHARE * luminance_of_iris)
 
 
 def find_lash_shadows(pixels: Colours, limbus: Ellipse, lids: Mask, clear: Mask) -> Mask:
@@ -128,36 +128,36 @@ def find_lash_shadows(pixels: Colours, limbus: Ellipse, lids: Mask, clear: Mask)
     if not lids.any() or not clear.any():
         return np.zeros_like(clear)
     radius = limbus.semi_axes[0]
-    encoded = _encoded(pixels @ LUMINANCE_WEIGHTS).astype(np.float32)
-    around, there = (masked_mean(encoded, clear, s * radius) for s in (_STREAK_AROUND, _STREAK))
-    away = np.asarray(ndimage.distance_transform_edt(~lids), np.float32)
-    near, streak = away < _REACH * radius, clear * (around - there) / np.maximum(around, 1e-3)
+    encoded = _encode(pixels @ LUMINANCE_WEIGHTS).astype(np.float32)
+    around, local = (masked_mean(encoded, clear, s * radius) for s in (_STREAK_AROUND, _STREAK))
+    distance = np.asarray(ndimage.distance_transform_edt(~lids), np.float32)
+    near, streak = distance < _REACH * radius, clear * (around - local) / np.maximum(around, 1e-3)
     # Furrows elsewhere are no shadows of lashes.
     furrows = np.quantile(streak[clear & ~near], 0.98) if (clear & ~near).any() else 0.0
     low, high = np.array(_CLEAR) * max(1.0, furrows / _CLEAR[0])
     dark = filters.apply_hysteresis_threshold(near * streak, low, high)
 
-    def lash(region, at):
-        long, wide = region.axis_major_length, region.axis_minor_length
-        slender = long > 4 * max(wide, 1.0) and wide < _WIDEST * radius
+    def is_lash(region, at):
+        length, width = region.axis_major_length, region.axis_minor_length
+        slender = length > 4 * max(width, 1.0) and width < _WIDEST * radius
         # It runs away from the lid, not along it as fibres beside a pupil do.
-        hangs = slender and np.ptp(away[at]) > 0.5 * long
-        return long > _SHORTEST * radius and (region.solidity < 0.4 or hangs)
+        hangs = slender and np.ptp(distance[at]) > 0.5 * length
+        return length > _SHORTEST * radius and (region.solidity < 0.4 or hangs)
 
-    return _grown(regions_that(lash, dark), max(1, round(0.008 * radius)))
+    return _dilate(select_regions(is_lash, dark), max(1, round(0.008 * radius)))
 
 
-def regions_that(hold: Callable[[Any, tuple[np.ndarray, ...]], Any], mask: Mask) -> Mask:
+def select_regions(predicate: Callable[[Any, tuple[np.ndarray, ...]], Any], mask: Mask) -> Mask:
     """Return the connected regions of a mask for which `hold(region, indices)` is true."""
-    found = np.zeros_like(mask)
+    selected = np.zeros_like(mask)
     for region in measure.regionprops(measure.label(mask)):
         at = tuple(region.coords.T)
-        if hold(region, at):
-            found[at] = True
-    return found
+        if predicate(region, at):
+            selected[at] = True
+    return selected
 
 
-def without_islands(clear: Mask) -> Mask:
+def remove_islands(clear: Mask) -> Mask:
     """Return the mask without small separate parts: slivers along the edge of a lid."""
     label = np.asarray(measure.label(clear))
     size = np.bincount(label.ravel())
@@ -174,10 +174,10 @@ def find_highlights(pixels: Colours, saturated: Mask, iris: Mask) -> Mask:
     """
     if not iris.any():
         return np.zeros_like(iris)
-    part = _Reduced(iris.shape, ndimage.find_objects(iris.astype(np.uint8))[0])
+    part = _ReducedPart(iris.shape, ndimage.find_objects(iris.astype(np.uint8))[0])
     small, ring = part.reduced(pixels), part.reduced(iris) > 0.5
     cut_off = part.reduced(saturated & iris) > 0.1
-    encoded = _encoded(small @ LUMINANCE_WEIGHTS)
+    encoded = _encode(small @ LUMINANCE_WEIGHTS)
     counted = ring & ~cut_off
     if not counted.any():
         return iris.copy()
@@ -187,18 +187,20 @@ def find_highlights(pixels: Colours, saturated: Mask, iris: Mask) -> Mask:
     excess = encoded - usual
     scatter = np.median(np.abs(excess[counted])) / _NORMAL
     # An excess of light that is about white, or cut off.
-    more = small - usual[..., None] ** 2.2
-    white = np.ptp(more, axis=-1) < 0.6 * np.maximum(more.max(-1), 1e-6)
+    added = small - usual[..., None] ** 2.2
+    white = np.ptp(added, axis=-1) < 0.6 * np.maximum(added.max(-1), 1e-6)
     white |= small.min(-1) > 0.8
     bright = (excess > max(5 * scatter, 0.15)) & white & ring
     glow = (excess > max(2.5 * scatter, 0.06)) & ring
     seeds = bright | cut_off
-    found = filters.apply_hysteresis_threshold((glow | seeds).astype(np.uint8) + seeds, 0.5, 1.5)
+    highlights = filters.apply_hysteresis_threshold(
+        (glow | seeds).astype(np.uint8) + seeds, 0.5, 1.5
+    )
     # Fibres that touch a highlight are as bright as its glow; the glow itself is near.
-    away = np.asarray(ndimage.distance_transform_edt(~seeds))
-    found &= away <= max(2.0, 0.03 * size)
-    found = _grown(found, max(1, size // 200))
-    return (part.enlarged(found) | saturated) & iris
+    distance = np.asarray(ndimage.distance_transform_edt(~seeds))
+    highlights &= distance <= max(2.0, 0.03 * size)
+    highlights = _dilate(highlights, max(1, size // 200))
+    return (part.enlarged(highlights) | saturated) & iris
 
 
 def find_reflections(pixels: Colours, limbus: Ellipse, pupil: Ellipse, iris: Mask) -> Mask:
@@ -216,39 +218,39 @@ def find_reflections(pixels: Colours, limbus: Ellipse, pupil: Ellipse, iris: Mas
         return np.zeros_like(iris)
     size, ring = max(radius.shape), (radius * _RINGS).astype(int)
     least = max(1, round(_WIDE * size))
-    seen = [masked_mean(c, counted, _FIBRES * size) for c in np.moveaxis(_encoded(small), -1, 0)]
-    encoded, usual = np.maximum(np.stack(seen, -1), 0), np.zeros_like(small)
+    channels = [masked_mean(c, counted, _FIBRES * size) for c in np.moveaxis(_encode(small), -1, 0)]
+    encoded, usual = np.maximum(np.stack(channels, -1), 0), np.zeros_like(small)
     for k in np.unique(ring[counted]):
         usual[ring == k] = np.median(encoded[counted & (ring == k)], 0)
-    off = encoded - usual
+    deviation = encoded - usual
     strange, common = np.zeros(radius.shape), counted
     for _ in range(_CLIPPED):
-        spread = np.cov(off[common].T, bias=True) + _LEAST_SCATTER**2 * np.eye(3)
-        strange = np.sqrt(((off @ np.linalg.inv(spread)) * off).sum(-1))
+        spread = np.cov(deviation[common].T, bias=True) + _LEAST_SCATTER**2 * np.eye(3)
+        strange = np.sqrt(((deviation @ np.linalg.inv(spread)) * deviation).sum(-1))
         common = counted & (strange < _COMMON)
-    excess, more = off @ LUMINANCE_WEIGHTS, encoded**2.2 - usual**2.2
-    most = np.maximum(more.max(-1), 1e-6)
-    white = np.ptp(more, axis=-1) < 0.6 * most
-    sky = (more.argmax(-1) == 2) & (more.min(-1) > -0.15 * most)
+    excess, excess_light = deviation @ LUMINANCE_WEIGHTS, encoded**2.2 - usual**2.2
+    most = np.maximum(excess_light.max(-1), 1e-6)
+    white = np.ptp(excess_light, axis=-1) < 0.6 * most
+    sky = (excess_light.argmax(-1) == 2) & (excess_light.min(-1) > -0.15 * most)
     glow = counted & (white | sky) & (excess > _BRIGHTER[0] / 2)
     # Over the black pupil.
     black = part.reduced(pupil.mask(iris.shape)) > 0.9
-    light = morphology.opening(_encoded(small @ LUMINANCE_WEIGHTS), morphology.disk(least))
+    light = morphology.opening(_encode(small @ LUMINANCE_WEIGHTS), morphology.disk(least))
     dark = np.quantile(light[black], 0.25) if black.any() else 0.0
-    mirrored = _grown(black & (light > dark + _BRIGHTER[0]), 2 + round(0.02 * size))
+    mirrored = _dilate(black & (light > dark + _BRIGHTER[0]), 2 + round(0.02 * size))
 
-    def added(region, at):
+    def is_reflection(region, at):
         least = _BRIGHTER[0 if mirrored[at].sum() > math.sqrt(region.area) else 1]
         return excess[at].mean() > least and strange[at].mean() > _STRANGE
 
     # Fibres are as bright as some reflections, but not as wide.
-    wide = regions_that(added, _opened(glow & (strange > _STRANGE / 2), least))
+    wide = select_regions(is_reflection, _open(glow & (strange > _STRANGE / 2), least))
     # Between mirrored lashes they are as narrow.
     near = np.asarray(ndimage.distance_transform_edt(~wide)) < max(2.0, _BESIDE * size)
     beside = glow & near & (strange > _STRANGE / 3)
-    found = filters.apply_hysteresis_threshold(beside.astype(np.uint8) + wide, 0.5, 1.5)
-    found = ~_opened(~found, 2 * least) if found.any() else found
-    return part.enlarged(_grown(found, max(1, size // 200))) & iris
+    reflections = filters.apply_hysteresis_threshold(beside.astype(np.uint8) + wide, 0.5, 1.5)
+    reflections = ~_open(~reflections, 2 * least) if reflections.any() else reflections
+    return part.enlarged(_dilate(reflections, max(1, size // 200))) & iris
 
 
 def find_lashes(pixels: Colours, limbus: Ellipse, lids: Mask) -> Mask:
@@ -259,31 +261,33 @@ def find_lashes(pixels: Colours, limbus: Ellipse, lids: Mask) -> Mask:
     that is as clear outside as inside lies in front. The dark ring of a limbus runs along it.
     """
     part, radius, small = _around_limbus(pixels, limbus)
-    encoded = _encoded(small @ LUMINANCE_WEIGHTS)
+    encoded = _encode(small @ LUMINANCE_WEIGHTS)
     reach = max(2, round(0.02 * max(radius.shape)))
-    found = np.zeros(radius.shape, bool)
+    lashes = np.zeros(radius.shape, bool)
     near, within = radius < _SEEN_AROUND, radius < 1
     hidden = part.reduced(lids) > 0.5
-    beside = _grown(hidden, 4)
+    beside = _dilate(hidden, 4)
 
-    def crosses(region, at):
-        return radius[at].min() < 0.95 and radius[at].max() > 1.12 and _long(region)
+    def crosses_limbus(region, at):
+        return radius[at].min() < 0.95 and radius[at].max() > 1.12 and _is_streak(region)
 
-    def hangs(region, at):
-        return beside[at].any() and _long(region)
+    def hangs_from_lid(region, at):
+        return beside[at].any() and _is_streak(region)
 
-    dark, bright = (_across_circles(v, part.small(limbus), reach) for v in (encoded, -encoded))
+    dark, bright = (_streak_contrast(v, part.small(limbus), reach) for v in (encoded, -encoded))
     for streak in (dark, bright):
         # In units of what fibres, or vessels and skin, usually reach.
-        usual = np.where(within, _usual(streak[within]), _usual(streak[near & ~within]))
+        usual = np.where(
+            within, _usual_contrast(streak[within]), _usual_contrast(streak[near & ~within])
+        )
         clear = filters.apply_hysteresis_threshold(near * streak / usual, 1.0, 1.5)
-        found |= regions_that(crosses, clear)
+        lashes |= select_regions(crosses_limbus, clear)
     iris = (radius > 0.6) & within & ~hidden
     if hidden.any() and iris.any():
         contrast = dark / max(float(np.median(encoded[iris])), 1e-3)
         clear = filters.apply_hysteresis_threshold(contrast, *_LASH_CLEAR) & ~hidden
-        found |= near & regions_that(hangs, clear)
-    return part.enlarged(_grown(found, 1))
+        lashes |= near & select_regions(hangs_from_lid, clear)
+    return part.enlarged(_dilate(lashes, 1))
 
 
 def find_lids(pixels: Colours, limbus: Ellipse, pupil: Ellipse) -> Mask:
@@ -299,38 +303,38 @@ def find_lids(pixels: Colours, limbus: Ellipse, pupil: Ellipse) -> Mask:
     size = max(radius.shape)
     smooth = ndimage.gaussian_filter(small, (0.012 * size,) * 2 + (0,))
     light = np.log(np.maximum(smooth, 0) + 0.02 * max(float(np.median(smooth)), 1e-4))
-    seen = light @ _OPPONENT.T
+    colours = light @ _OPPONENT.T
     row, column = np.mgrid[: radius.shape[0], : radius.shape[1]]
     x, y = part.small(limbus)
     across, down = ((c - m) * (2 * _SEEN_AROUND / size) for c, m in ((column, x), (row, y)))
     iris = (part.reduced(pupil.mask(pixels.shape[:2])) < 0.5) & (radius < 1)
-    off = [
-        _unlike_side(seen, radius, iris & side & (np.abs(down) < 0.5 * np.abs(across)))
+    deviations = [
+        _deviation_from_side(colours, radius, iris & side & (np.abs(down) < 0.5 * np.abs(across)))
         for side in (across < 0, across > 0)
     ]
     # Less unlike either side. A radius at which neither side shows iris tells nothing: no lid.
-    unlike = np.fmin(*(np.linalg.norm(o, axis=-1) for o in off))
+    unlike = np.fmin(*(np.linalg.norm(o, axis=-1) for o in deviations))
     strange = np.where(iris & np.isfinite(unlike), unlike, 0.0)
-    found = np.zeros_like(iris)
+    lids = np.zeros_like(iris)
     for height in (-down, down):
         skin = (radius > 1.05) & (radius < _SEEN_AROUND) & (height > 0.7 * np.abs(across))
         if not skin.any():
             continue
-        score, some = -1.0 * iris, max(1, int(skin.sum()) // _MANY)
-        of_skin = spatial.KDTree(seen[skin][::some])
-        far, _ = of_skin.query(seen[iris], distance_upper_bound=_LIKE_SKIN)
-        score[iris] += np.isfinite(far) * np.minimum(strange[iris] / _UNLIKE_IRIS, 2)
+        score, step = -1.0 * iris, max(1, int(skin.sum()) // _MANY)
+        of_skin = spatial.KDTree(colours[skin][::step])
+        skin_distance, _ = of_skin.query(colours[iris], distance_upper_bound=_LIKE_SKIN)
+        score[iris] += np.isfinite(skin_distance) * np.minimum(strange[iris] / _UNLIKE_IRIS, 2)
         edges = itertools.product(*_LID_EDGES)
         above = [height + bend * across**2 + lean * across for bend, lean in edges]
-        total, lid = max((_best_level(score, a) for a in above), key=lambda best: best[0])
-        if total > max(_LEAST_LID * iris.sum(), _OF_A_LID * (lid & iris).sum()):
-            found |= lid
-    dark = (np.fmax(*off)[..., 0] < 0) & (strange > _UNLIKE_IRIS)
-    dark = _opened(dark, max(1, round(0.02 * size)))
-    beside = _grown(found, max(1, round(0.02 * size)))
-    near = np.asarray(ndimage.distance_transform_edt(~found)) * 2 * _SEEN_AROUND < _REACH * size
-    shadow = regions_that(lambda _, at: beside[at].any(), dark & iris & near)
-    return part.enlarged(found | shadow) & limbus.mask(pixels.shape[:2])
+        lid_score, lid = max((_best_cut(score, a) for a in above), key=lambda best: best[0])
+        if lid_score > max(_LEAST_LID * iris.sum(), _OF_A_LID * (lid & iris).sum()):
+            lids |= lid
+    dark = (np.fmax(*deviations)[..., 0] < 0) & (strange > _UNLIKE_IRIS)
+    dark = _open(dark, max(1, round(0.02 * size)))
+    beside = _dilate(lids, max(1, round(0.02 * size)))
+    near = np.asarray(ndimage.distance_transform_edt(~lids)) * 2 * _SEEN_AROUND < _REACH * size
+    shadow = select_regions(lambda _, at: beside[at].any(), dark & iris & near)
+    return part.enlarged(lids | shadow) & limbus.mask(pixels.shape[:2])
 
 
 def find_freckles(texture: Unrefracted) -> Mask:
@@ -344,7 +348,7 @@ def find_freckles(texture: Unrefracted) -> Mask:
     """
     valid = texture.valid
     pixels = texture.pixels.astype(np.float32)
-    if not valid.any() or _grey(pixels[valid]):
+    if not valid.any() or _is_grey(pixels[valid]):
         return np.zeros_like(valid)
     texel = texture.millimetres_per_texel
     smooth = ndimage.gaussian_filter(pixels, (0.3 * _SMALLEST / texel,) * 2 + (0,))
@@ -361,18 +365,18 @@ def find_freckles(texture: Unrefracted) -> Mask:
     steps = (low & valid).astype(np.uint8) + (high & valid)
     spots = np.asarray(filters.apply_hysteresis_threshold(steps, 0.5, 1.5))
 
-    def freckle(region, _):
-        width, long = region.equivalent_diameter_area * texel, region.axis_major_length * texel
-        fits = width >= _SMALLEST and max(width, long) <= _LARGEST
-        return fits and region.solidity >= _COMPACT
+    def is_freckle(region, _):
+        width, length = region.equivalent_diameter_area * texel, region.axis_major_length * texel
+        has_size = width >= _SMALLEST and max(width, length) <= _LARGEST
+        return has_size and region.solidity >= _COMPACT
 
-    found = regions_that(freckle, np.asarray(ndimage.binary_fill_holes(spots)))
-    return _grown(found, max(1, round(0.5 * _SMALLEST / texel)))
+    freckles = select_regions(is_freckle, np.asarray(ndimage.binary_fill_holes(spots)))
+    return _dilate(freckles, max(1, round(0.5 * _SMALLEST / texel)))
 
 
-def part_of(photograph: Photograph, limbus: Ellipse) -> Part:
+def cut_part(photograph: Photograph, limbus: Ellipse) -> Part:
     """Cut out the part about a limbus, wide enough for every pixel of the camera's picture."""
-    (x, y), side, reduction = place_of_part(limbus)
+    (x, y), side, reduction = part_geometry(limbus)
 
     def cut(values, fill):
         inside = values[max(0, y) : y + side, max(0, x) : x + side]
@@ -383,13 +387,13 @@ def part_of(photograph: Photograph, limbus: Ellipse) -> Part:
     pixels, saturated = cut(photograph.pixels, np.float32(0)), photograph.saturated
     masks = cut(saturated, True), cut(np.zeros_like(saturated), True)
     if reduction > 1:
-        pixels = by_channel(pixels, lambda c: c.reduce(reduction))
+        pixels = map_channels(pixels, lambda c: c.reduce(reduction))
         masks = [measure.block_reduce(m, reduction, np.max) for m in masks]
-    made = Part(np.asarray(pixels, np.float32), *masks, limbus, reduction, (x, y))
-    return made._replace(limbus=made.moved(limbus))
+    part = Part(np.asarray(pixels, np.float32), *masks, limbus, reduction, (x, y))
+    return part._replace(limbus=part.moved(limbus))
 
 
-def place_of_part(limbus: Ellipse) -> tuple[tuple[int, int], int, int]:
+def part_geometry(limbus: Ellipse) -> tuple[tuple[int, int], int, int]:
     """Return column and row of the first pixel of the photograph's part about the limbus, its side
     in pixels, and how many of them along each side one of its own pixels has.
     """
@@ -399,7 +403,7 @@ def place_of_part(limbus: Ellipse) -> tuple[tuple[int, int], int, int]:
     return (x, y), 2 * half, reduction
 
 
-class _Reduced:
+class _ReducedPart:
     """A rectangle of the photograph and a smaller picture of it."""
 
     def __init__(self, shape: tuple[int, int], box: tuple[slice, ...]):
@@ -416,7 +420,7 @@ class _Reduced:
     def reduced(self, picture: np.ndarray) -> np.ndarray:
         part, (rows, columns) = np.atleast_3d(picture[self.box]), self.small_size
         box = Image.Resampling.BOX  # the mean of what a pixel covers
-        small = by_channel(part.astype(np.float32), lambda c: c.resize((columns, rows), box))
+        small = map_channels(part.astype(np.float32), lambda c: c.resize((columns, rows), box))
         return small.reshape(rows, columns, *picture.shape[2:])
 
     def enlarged(self, mask: np.ndarray) -> np.ndarray:
@@ -426,19 +430,19 @@ class _Reduced:
         return whole
 
 
-def _grown(mask: np.ndarray, radius: int) -> np.ndarray:
+def _dilate(mask: np.ndarray, radius: int) -> np.ndarray:
     # scikit-image dilates an empty mask to one with pixels set.
     return np.asarray(morphology.isotropic_dilation(mask, radius)) if mask.any() else mask
 
 
-def _opened(mask: np.ndarray, radius: int) -> np.ndarray:
-    return _grown(np.asarray(morphology.isotropic_erosion(mask, radius)), radius)
+def _open(mask: np.ndarray, radius: int) -> np.ndarray:
+    return _dilate(np.asarray(morphology.isotropic_erosion(mask, radius)), radius)
 
 
-def _long(region) -> bool:
+def _is_streak(region) -> bool:
     """Whether a region is a streak or several that branch."""
-    long, wide = region.axis_major_length, region.axis_minor_length
-    return bool(long > 4 * max(wide, 1.0) or region.solidity < 0.4)
+    length, width = region.axis_major_length, region.axis_minor_length
+    return bool(length > 4 * max(width, 1.0) or region.solidity < 0.4)
 
 
 def _around_limbus(pixels: np.ndarray, limbus: Ellipse):
@@ -446,7 +450,7 @@ def _around_limbus(pixels: np.ndarray, limbus: Ellipse):
     shape, reach = pixels.shape[:2], _SEEN_AROUND * limbus.semi_axes[0]
     ends = zip(limbus.centre[::-1], shape, strict=True)
     box = tuple(slice(max(0, int(c - reach)), min(n, int(c + reach) + 1)) for c, n in ends)
-    part = _Reduced(shape, box)
+    part = _ReducedPart(shape, box)
     row, column = (
         b.start + (np.arange(n) + 0.5) * (size / n) - 0.5
         for b, n, size in zip(box, part.small_size, part.size, strict=True)
@@ -454,20 +458,20 @@ def _around_limbus(pixels: np.ndarray, limbus: Ellipse):
     return part, limbus.relative_radius(column, row[:, None]), part.reduced(pixels)
 
 
-def _unlike_side(seen: np.ndarray, radius: np.ndarray, side: Mask) -> np.ndarray:
+def _deviation_from_side(colours: np.ndarray, radius: np.ndarray, side: Mask) -> np.ndarray:
     """Differences from the medians at each radius of a side of the iris, in units of its usual
     scatter.
     """
     ring, scatter = np.minimum((radius * 20).astype(int), 20), [np.full(3, 0.12)]
     usual = np.full((21, 3), np.nan)
     for k in np.unique(ring[side]):
-        known = seen[side & (ring == k)]
-        usual[k] = np.median(known, 0)
-        scatter.append(stats.median_abs_deviation(known, scale=_NORMAL))
-    return (seen - usual[ring]) / np.maximum(np.median(scatter, 0), scatter[0])
+        values = colours[side & (ring == k)]
+        usual[k] = np.median(values, 0)
+        scatter.append(stats.median_abs_deviation(values, scale=_NORMAL))
+    return (colours - usual[ring]) / np.maximum(np.median(scatter, 0), scatter[0])
 
 
-def _best_level(score: np.ndarray, above: np.ndarray) -> tuple[float, Mask]:
+def _best_cut(score: np.ndarray, above: np.ndarray) -> tuple[float, Mask]:
     """The largest sum of a score over the places above some level, and these places."""
     level = np.clip(100 * above, 0, 150).astype(int)
     sums = np.bincount(level.ravel(), score.ravel(), 151)[::-1].cumsum()[::-1]
@@ -475,35 +479,35 @@ def _best_level(score: np.ndarray, above: np.ndarray) -> tuple[float, Mask]:
     return float(sums[best]), level >= best
 
 
-def _across_circles(values: np.ndarray, middle: np.ndarray, reach: int) -> np.ndarray:
+def _streak_contrast(values: np.ndarray, middle: np.ndarray, reach: int) -> np.ndarray:
     """How much lower values are than those on both sides, up to `reach` pixels away along circles
     about a middle (column, row): a streak along a circle is none.
     """
     row, column = np.indices(values.shape)
     along = np.arctan2(row - middle[1], column - middle[0]) + np.pi / 2
     nearest = np.round(along / np.pi * _DIRECTIONS).astype(int) % _DIRECTIONS
-    found = np.zeros_like(values)
+    contrast = np.zeros_like(values)
     for k in range(_DIRECTIONS):
         angle, line = np.pi * k / _DIRECTIONS, np.zeros((2 * reach + 1,) * 2, bool)
         step = np.linspace(-reach, reach, 4 * reach + 1)
-        at = [np.rint(reach + step * f(angle)).astype(int) for f in (np.sin, np.cos)]
-        line[tuple(at)] = True
+        indices = [np.rint(reach + step * f(angle)).astype(int) for f in (np.sin, np.cos)]
+        line[tuple(indices)] = True
         low = np.asarray(ndimage.black_tophat(values, footprint=line))
-        found = np.where(nearest == k, low, found)
-    return found
+        contrast = np.where(nearest == k, low, contrast)
+    return contrast
 
 
-def _usual(streak: np.ndarray) -> float:
+def _usual_contrast(streak: np.ndarray) -> float:
     """A contrast that all but the clearest streaks of a texture stay below."""
     return max(1.5 * float(np.quantile(streak, 0.75)), 0.08) if streak.size else 0.08
 
 
-def _encoded(luminance: np.ndarray) -> np.ndarray:
+def _encode(luminance: np.ndarray) -> np.ndarray:
     """Roughly encoded as for a screen, so that equal steps look equal."""
     return np.clip(luminance, 0, 1) ** np.float32(1 / 2.2)
 
 
-def _grey(pixels: np.ndarray) -> bool:
+def _is_grey(pixels: np.ndarray) -> bool:
     """Whether the channels are in one proportion."""
     usual = np.median(pixels, 0)
     scale = np.maximum(pixels.max(-1, keepdims=True), 1e-6)
@@ -517,12 +521,12 @@ def _deviation(values: np.ndarray, texture: Unrefracted) -> tuple[np.ndarray, fl
     centre = np.unique(ring)
     median = np.asarray(ndimage.median(values[valid], ring, centre), float)
     profile = np.interp(texture.radius() / _SPOT_RING - 0.5, centre, median).astype(np.float32)
-    off = values - profile
-    scatter = _scatter(off[valid])
+    deviation = values - profile
+    scatter = _scatter(deviation[valid])
     # Clipped: a spot must not raise what it is compared with.
     width = _SPOT_AROUND / texture.millimetres_per_texel
-    off = off - masked_mean(np.clip(off, -2 * scatter, 2 * scatter), valid, width)
-    return off, _scatter(off[valid])
+    deviation = deviation - masked_mean(np.clip(deviation, -2 * scatter, 2 * scatter), valid, width)
+    return deviation, _scatter(deviation[valid])
 
 
 def _scatter(values: np.ndarray) -> float:

@@ -11,7 +11,7 @@ from irisjax.measure.colour import srgb_encode
 from irisjax.photo.clone import Lit, Outlined, Posed
 from irisjax.photo.edges import reduce_picture
 from irisjax.photo.eye_colour import RINGS, EyeColour, RegionColour, depth_in_iris
-from irisjax.photo.masks import Part, place_of_part
+from irisjax.photo.masks import Part, part_geometry
 from irisjax.photo.photograph import Colours, Ellipse
 from irisjax.render.project import scatter_to_picture
 
@@ -95,25 +95,25 @@ def _contours(values, level: float) -> list[np.ndarray]:
 
 def _on_part(found: Posed, column, row):
     """Rows and columns of the camera's picture nearest to places of the photograph."""
-    (x, y), _, reduction = place_of_part(found.boundaries.limbus)
+    (x, y), _, reduction = part_geometry(found.boundaries.limbus)
     left, top = found.pose.corner
     rows, columns = found.clear.shape
-    across, down = (column - x) / reduction - left, (row - y) / reduction - top
+    column_in_part, row_in_part = (column - x) / reduction - left, (row - y) / reduction - top
     return (
-        np.clip(np.rint(down), 0, rows - 1).astype(int),
-        np.clip(np.rint(across), 0, columns - 1).astype(int),
+        np.clip(np.rint(row_in_part), 0, rows - 1).astype(int),
+        np.clip(np.rint(column_in_part), 0, columns - 1).astype(int),
     )
 
 
 def _lamps(found: Lit) -> list[tuple[float, float]]:
     """Find the columns and rows at which the photograph shows lamps mirrored in the cornea."""
-    seen, lamps = found.view.mirror, found.lighting.lamps
-    if seen is None or lamps is None:
+    film, lamps = found.view.mirror, found.lighting.lamps
+    if film is None or lamps is None:
         return []
-    (x, y), _, reduction = place_of_part(found.boundaries.limbus)
+    (x, y), _, reduction = part_geometry(found.boundaries.limbus)
     left, top = found.pose.corner
-    directions = np.stack([np.asarray(c) for c in seen.mirror], -1)
-    directions = scatter_to_picture(seen, directions, found.clear.shape)
+    directions = np.stack([np.asarray(c) for c in film.mirror], -1)
+    directions = scatter_to_picture(film, directions, found.clear.shape)
     places = []
     for towards in np.asarray(lamps.towards)[:_MOST_LAMPS]:
         row, column = np.unravel_index(np.argmax(directions @ towards), found.clear.shape)

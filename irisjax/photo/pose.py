@@ -32,7 +32,7 @@ PUPIL_OVAL = 0.025
 """The same for pupils: they deviate from a circle by 0.0166 of their radius, about half of which an
 ellipse explains  [Wyatt 1995].
 """
-FLATTER = 1.25
+FLATTENING_RATIO = 1.25
 """Flattening of a tilted limbus over that of the pupil, which the cornea shows turned towards the
 camera.
 """
@@ -55,15 +55,15 @@ _UPWARD = 0.2  # height of the pupil's middle above the limbus's, mm  [Wyatt 199
 # share of the others; assumed.
 _FRONTAL_TILT, _ASIDE_TILT, _ASIDE = 8.0, 35.0, 0.8
 _STRETCHED, _STRETCH = 0.015, 0.12  # share of files that are, and the logarithm's spread; assumed
-_CLEAR = 0.06  # logarithm of a stretch that matters
-_SHARP = 0.002  # standard deviation of an outline's middle and size, relative to its radius
+_RELEVANT_STRETCH = 0.06  # logarithm of a stretch that matters
+_OUTLINE_SD = 0.002  # standard deviation of an outline's middle and size, relative to its radius
 _PUPIL_RADII = (0.25, 4.75)  # allowed pupil radii, in mm
 _USUAL_DISTANCE = 300.0  # mm, without a focal length: perspective hardly depends on it
 _POINTS = 48
 _STEEPEST = 1.0  # of a tilt's components, radians
 _MARGIN = 1.15  # half the side of the part that is cut out, over the limbus's larger semi-axis
 _STEP = 1e-5  # of finite differences
-_MOST_STEPS = 60  # of the fit; it takes about 5 for outlines that an eye may have
+_MAX_STEPS = 60  # of the fit; it takes about 5 for outlines that an eye may have
 
 
 class Pose(NamedTuple):
@@ -102,8 +102,8 @@ def limbus_spread() -> tuple[float, float]:
     has this relative spread.
     """
     radius, count = np.asarray(LIMBUS_RADII).T
-    every = np.repeat(radius, count.astype(int))
-    return float(every.mean()), float(every.std())
+    radii = np.repeat(radius, count.astype(int))
+    return float(radii.mean()), float(radii.std())
 
 
 def find_pose(
@@ -134,7 +134,7 @@ def find_pose(
             be as usual in photographs, and the interval allows for files that are stretched.
     """
     # The eye that is drawn has a round limbus: half of what people have, in the middle.
-    flat = np.array([0.5 * LIMBUS_FLAT, 0.0])
+    mean_flattening = np.array([0.5 * LIMBUS_FLAT, 0.0])
     spread = np.hypot([LIMBUS_OVAL, PUPIL_OVAL], flattening_sd)
     ratio = min(limbus.semi_axes[1] / limbus.semi_axes[0], 1.0)
     radius_mm = float(eye.limbus_radius)
@@ -146,7 +146,7 @@ def find_pose(
         )
     tilt = np.arccos(ratio)  # [F09 Eq. 1]
     # A camera's distance is measured from the pupil, the paper's from the limbus in front of it.
-    behind = (float(eye.iris_depth) - float(limbus_depth(eye))) * ratio
+    depth_offset = (float(eye.iris_depth) - float(limbus_depth(eye))) * ratio
     # The camera's azimuth is that of the smaller axis, to one side or the other.
     across = limbus.angle + np.pi / 2
     sides = [across, across + np.pi]
@@ -154,80 +154,86 @@ def find_pose(
         sides = [min(sides, key=lambda a: abs(np.angle(np.exp(1j * (a - azimuth)))))]
     pixels_per_mm = limbus.semi_axes[0] / radius_mm  # [F09 Eq. 2]
 
-    def seen_from(v, width, size) -> Camera:
-        numbers: Any = np.hypot(*v[:2]), np.arctan2(v[1], v[0]), distance + behind, width
+    def camera_at(v, width, size) -> Camera:
+        numbers: Any = np.hypot(*v[:2]), np.arctan2(v[1], v[0]), distance + depth_offset, width
         return Camera(*numbers, size=size)
 
-    def at(v):
+    def limbus_middle(v):
         """Middle of the limbus's flat picture, from its observed one in its radii."""
         return np.array(limbus.centre) + limbus.semi_axes[0] * v[2:4]
 
     def residuals(v, rim, hole):
         scale = np.exp(v[4]) * pixels_per_mm
-        edge, inner = (ellipse_through(at(v) + scale * p) for p in (rim, hole))
-        pairs = (edge, limbus, spread[0], flat), (inner, pupil, spread[1], 0 * flat)
+        edge, inner = (ellipse_through(limbus_middle(v) + scale * p) for p in (rim, hole))
+        pairs = (
+            (edge, limbus, spread[0], mean_flattening),
+            (inner, pupil, spread[1], 0 * mean_flattening),
+        )
         flatter = [
-            (own.flattening + own_flat - seen.flattening) / sd for own, seen, sd, own_flat in pairs
+            (own.flattening + own_flat - observed.flattening) / sd
+            for own, observed, sd, own_flat in pairs
         ]
-        sizes = [np.prod(own.semi_axes) / np.prod(seen.semi_axes) for own, seen, *_ in pairs]
-        middle = (np.array(edge.centre) - limbus.centre) / (_SHARP * limbus.semi_axes[0])
+        sizes = [
+            np.prod(own.semi_axes) / np.prod(observed.semi_axes) for own, observed, *_ in pairs
+        ]
+        middle = (np.array(edge.centre) - limbus.centre) / (_OUTLINE_SD * limbus.semi_axes[0])
         aside = (np.array(inner.centre) - pupil.centre) / (scale * DECENTRED)
-        larger = np.log(sizes) / (2 * _SHARP)
-        usual = [np.sqrt(2 * _unusual(np.hypot(*v[:2])))]
+        larger = np.log(sizes) / (2 * _OUTLINE_SD)
+        usual = [np.sqrt(2 * _tilt_cost(np.hypot(*v[:2])))]
         return np.concatenate([*flatter, middle, larger, aside * (azimuth is None), usual])
 
-    front = seen_from(np.zeros(2), 2.0, (2, 2))  # with pixels of one millimetre
+    front = camera_at(np.zeros(2), 2.0, (2, 2))  # with pixels of one millimetre
 
     @functools.cache
-    def rows(*near_one):
+    def residual_rows(*near_one):
         """Residuals there and a step aside in each number, all by one call of the renderer."""
         steps = np.array(near_one) * (1 + _STEP * np.eye(7, 6, -1))
-        shown = map(np.asarray, _outlines(eye, front, jnp.asarray(steps - 1, float)))
+        shown = map(np.asarray, _project_outlines(eye, front, jnp.asarray(steps - 1, float)))
         return [residuals(*row) for row in zip(steps - 1, *shown, strict=True)]
 
     def slopes(near_one):
-        here, *aside = rows(*near_one)
-        return np.stack([off - here for off in aside], -1) / (_STEP * near_one)
+        base, *aside = residual_rows(*near_one)
+        return np.stack([shifted - base for shifted in aside], -1) / (_STEP * near_one)
 
     # The cornea magnifies the pupil by about 1.13.
     opening = np.clip(pupil.semi_axes[0] / pixels_per_mm / 1.13, *_PUPIL_RADII)
     start = min(max(tilt, 0.05), 0.9 * _STEEPEST)
-    most = np.array([_STEEPEST] * 2 + [np.inf] * 4)
+    limit = np.array([_STEEPEST] * 2 + [np.inf] * 4)
     solve: Any = scipy.optimize.least_squares  # its annotations know no function for the Jacobian
 
     def fit(a):
         # The numbers searched for are near one: finite differences are taken relative to them.
         return solve(
-            lambda near_one: rows(*near_one)[0],
+            lambda near_one: residual_rows(*near_one)[0],
             1 + np.array([start * np.cos(a), start * np.sin(a), 0.0, 0.0, 0.0, opening]),
             slopes,
             x_scale=[0.1, 0.1, 0.01, 0.01, 0.01, 0.1],
-            bounds=(1 - most, 1 + most),
-            max_nfev=_MOST_STEPS,
+            bounds=(1 - limit, 1 + limit),
+            max_nfev=_MAX_STEPS,
         )
 
-    found = min(map(fit, sides), key=lambda f: f.cost)
-    if found.status == 0:
+    optimum = min(map(fit, sides), key=lambda f: f.cost)
+    if optimum.status == 0:
         raise ValueError(
-            f"no camera was found in {_MOST_STEPS} steps that sees an eye with these outlines of "
+            f"no camera was found in {_MAX_STEPS} steps that sees an eye with these outlines of "
             "limbus and pupil; check them"
         )
-    v = found.x - 1
-    (x, y), tilt = at(v), float(np.hypot(*v[:2]))
+    v = optimum.x - 1
+    (x, y), tilt = limbus_middle(v), float(np.hypot(*v[:2]))
     scale = float(np.exp(v[4]) * pixels_per_mm)
     half = int(np.ceil(_MARGIN * limbus.semi_axes[0]))
     # Whole pixels: the middle of the camera's picture lies within half of one of the eye's.
     corner = int(np.round(x)) - half, int(np.round(y)) - half
     size = 2 * half + 1
-    camera = seen_from(v, size / scale, (size, size))
+    camera = camera_at(v, size / scale, (size, size))
     centre, radius = _pupil_on_iris(eye, camera, pupil.moved(half - x, half - y))
-    seen_at = None if focal_px is None else distance
+    stated_distance = None if focal_px is None else distance
     side = "pupil" if azimuth is None else "given"
     eye = eye.replace(pupil_radius=radius, pupil_centre=jnp.asarray(centre))
     sd, interval, stretched = tilts_of_people(limbus, pupil, spread, azimuth)
     interval = min(interval[0], tilt), max(interval[1], tilt)
-    seen = camera, corner, eye, centre, float(radius)
-    return Pose(*seen, tilt, sd, interval, seen_at, side, stretched)
+    observed = camera, corner, eye, centre, float(radius)
+    return Pose(*observed, tilt, sd, interval, stated_distance, side, stretched)
 
 
 def iris_points(eye: Eye, x: ArrayLike, y: ArrayLike) -> Float[np.ndarray, "*s 3"]:
@@ -242,12 +248,14 @@ def project_iris_points(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the columns and rows in which points of the iris (mm) appear, and whether they do."""
     # A camera of one size for all photographs, so that one compiled program serves them all.
-    same = Camera(camera.polar, camera.azimuth, camera.distance, cast(Any, 2.0), (2, 2))
-    found = _seen(eye.replace(pupil_centre=None), same, jnp.asarray(points))
+    camera_of_one_size = Camera(
+        camera.polar, camera.azimuth, camera.distance, cast(Any, 2.0), (2, 2)
+    )
+    projected = _project(eye.replace(pupil_centre=None), camera_of_one_size, jnp.asarray(points))
     (columns, rows), pitch = camera.size, float(camera.width) / camera.size[0]
-    column = (np.asarray(found.column) - 0.5) / pitch + columns / 2 - 0.5
-    row = (np.asarray(found.row) - 0.5) / pitch + rows / 2 - 0.5
-    return column, row, np.asarray(found.visible)
+    column = (np.asarray(projected.column) - 0.5) / pitch + columns / 2 - 0.5
+    row = (np.asarray(projected.row) - 0.5) / pitch + rows / 2 - 0.5
+    return column, row, np.asarray(projected.visible)
 
 
 def tilts_of_people(
@@ -260,37 +268,37 @@ def tilts_of_people(
     deviations of the components of the flattening of limbus and pupil, people's and the outlines'.
     """
     tilt = np.radians(np.linspace(0, 50, 201))
-    around = np.radians(np.arange(0, 360, 5)) if azimuth is None else np.array([azimuth])
+    azimuths = np.radians(np.arange(0, 360, 5)) if azimuth is None else np.array([azimuth])
     stretch = np.append(0.0, np.linspace(-0.3, 0.3, 60))
     prior = _STRETCHED * np.exp(-0.5 * (stretch / _STRETCH) ** 2)
     prior *= np.where(stretch == 0, 0, 1) / prior[1:].sum()
     prior[0] = 1 - _STRETCHED
-    t, a, s = tilt[:, None, None], around[None, :, None], stretch
-    flat, wide = -np.log(np.cos(t)) * np.exp(2j * (a + np.pi / 2)), s + 0j
-    seen = [complex(*outline.flattening) for outline in (limbus, pupil)]
-    off = abs(flat + LIMBUS_FLAT + wide - seen[0]) ** 2 / spread[0] ** 2
-    off = off + abs(flat / FLATTER + wide - seen[1]) ** 2 / spread[1] ** 2
+    t, a, s = tilt[:, None, None], azimuths[None, :, None], stretch
+    flattening, wide = -np.log(np.cos(t)) * np.exp(2j * (a + np.pi / 2)), s + 0j
+    observed = [complex(*outline.flattening) for outline in (limbus, pupil)]
+    misfit = abs(flattening + LIMBUS_FLAT + wide - observed[0]) ** 2 / spread[0] ** 2
+    misfit = misfit + abs(flattening / FLATTENING_RATIO + wide - observed[1]) ** 2 / spread[1] ** 2
     right, down = np.subtract(pupil.centre, limbus.centre) / limbus.mean_radius
     millimetre = 1 / limbus_spread()[0]
-    moved = PUPIL_SHIFT * np.sin(t) * np.exp(1j * a) + 1j * _UPWARD * millimetre
-    off = off + (abs(moved - complex(right, -down)) / (DECENTRED * millimetre)) ** 2
-    share = np.sin(t) * np.exp(-_unusual(t) - 0.5 * (off - off.min())) * prior
-    share /= share.sum()
-    each = share.sum((1, 2))
-    mean = each @ tilt
-    begin = np.concatenate([[0.0], np.cumsum(each)])[:-1]
-    low = tilt[begin <= 0.05]
-    high = np.interp(begin[: low.size] + 0.95, np.cumsum(each), tilt)
+    shift = PUPIL_SHIFT * np.sin(t) * np.exp(1j * a) + 1j * _UPWARD * millimetre
+    misfit = misfit + (abs(shift - complex(right, -down)) / (DECENTRED * millimetre)) ** 2
+    posterior = np.sin(t) * np.exp(-_tilt_cost(t) - 0.5 * (misfit - misfit.min())) * prior
+    posterior /= posterior.sum()
+    of_tilt = posterior.sum((1, 2))
+    mean = of_tilt @ tilt
+    below = np.concatenate([[0.0], np.cumsum(of_tilt)])[:-1]
+    low = tilt[below <= 0.05]
+    high = np.interp(below[: low.size] + 0.95, np.cumsum(of_tilt), tilt)
     k = int(np.argmax(np.log(np.cos(high) / np.cos(low))))  # the shortest in the flattening
-    sd = np.sqrt(each @ (tilt - mean) ** 2)
+    sd = np.sqrt(of_tilt @ (tilt - mean) ** 2)
     return (
         float(sd),
         (float(tilt[max(k - 1, 0)]), float(high[k])),
-        float(share[..., abs(stretch) > _CLEAR].sum()),
+        float(posterior[..., abs(stretch) > _RELEVANT_STRETCH].sum()),
     )
 
 
-def _unusual(tilt):
+def _tilt_cost(tilt):
     """Negative logarithm of the density of tilts in photographs over that of a frontal eye."""
     degrees = np.degrees(tilt)
     parts = (1 - _ASIDE, _FRONTAL_TILT), (_ASIDE, _ASIDE_TILT)
@@ -299,7 +307,7 @@ def _unusual(tilt):
 
 
 @eqx.filter_jit
-def _outlines(eye: Eye, front: Camera, v):
+def _project_outlines(eye: Eye, front: Camera, v):
     """Columns and rows (mm) of limbus and pupil for rows v of what `find_pose` searches for."""
     turn = jnp.linspace(0.0, 2 * jnp.pi, _POINTS, endpoint=False)
     circle = jnp.stack([jnp.cos(turn), jnp.sin(turn)])
@@ -353,5 +361,5 @@ def _pupil_on_iris(eye: Eye, camera: Camera, pupil: Ellipse):
 
 
 @eqx.filter_jit
-def _seen(eye: Eye, camera: Camera, points):
+def _project(eye: Eye, camera: Camera, points):
     return project_points(IrisSurface(eye), camera, points)

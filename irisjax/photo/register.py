@@ -10,7 +10,7 @@ from scipy.ndimage import binary_dilation, gaussian_filter, map_coordinates
 from skimage.registration import optical_flow_ilk, phase_cross_correlation
 from skimage.transform import AffineTransform, downscale_local_mean, warp
 
-from irisjax.photo.masks import part_of
+from irisjax.photo.masks import cut_part
 from irisjax.photo.outlines import find_boundaries
 from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
 from irisjax.photo.texture import LUMINANCE_WEIGHTS, sampled
@@ -77,7 +77,7 @@ def lay_on_first(
     """Lay a second photograph of the same eye on a part of the first.
 
     The outlines are those in the first, and `cut` has the rows and columns of the part in what
-    `part_of` cuts out for the limbus.
+    `cut_part` cuts out for the limbus.
 
     Raises:
         ValueError: If the second photograph shows another eye.
@@ -90,7 +90,7 @@ def lay_on_first(
             f"off by {100 * off:.1f} % of the limbus's radius, {100 * MOST_OFF:g} % is the most"
         )
     laid = Photograph(found.pixels.astype(np.float32), ~found.valid, second.grey)
-    part = part_of(laid, limbus)
+    part = cut_part(laid, limbus)
     clear, _ = part.clear(part.moved(pupil))
     return SecondPhotograph(found, part.pixels[cut], clear[cut])
 

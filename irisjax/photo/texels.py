@@ -24,7 +24,7 @@ from scipy.stats import qmc
 from irisjax.numerics.checks import Range
 from irisjax.numerics.chunks import map_chunks, map_rows
 from irisjax.numerics.interpolation import chebyshev
-from irisjax.photo.edges import by_channel
+from irisjax.photo.edges import map_channels
 from irisjax.photo.filling import fill_by_texture
 from irisjax.photo.photograph import Brightness, Colours, Mask
 from irisjax.photo.pigments import iris_of_concentrations
@@ -375,7 +375,7 @@ def _level(
     at the best of those that are `tried`.
     """
     known, tints = level.known, level.light.shape[-1] // response.coefficients.shape[1]
-    near = by_channel(near, lambda c: c.resize(known.shape[::-1], Image.Resampling.BILINEAR))
+    near = map_channels(near, lambda c: c.resize(known.shape[::-1], Image.Resampling.BILINEAR))
     taken = level.target * np.asarray(exposure, np.float32)
     noise = max(_noise(taken, known), _NOISE)
     exposed = jnp.asarray(exposure * gain, jnp.float32)

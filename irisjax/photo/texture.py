@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline, make_interp_spline
 
 from irisjax.anatomy.eye import rings_between
-from irisjax.photo.edges import by_channel
+from irisjax.photo.edges import map_channels
 from irisjax.photo.photograph import Brightness, Mask
 from irisjax.photo.pose import Pose, iris_points, project_iris_points
 from irisjax.render import environment
@@ -316,5 +316,5 @@ def _filled(total: np.ndarray, known: np.ndarray) -> np.ndarray:
     weight = np.minimum(4 * coarse[1], 1.0)
     below = _filled(coarse[0] / share * weight, weight)
     size = 2 * below.shape[1], 2 * below.shape[0]
-    above = by_channel(below, lambda c: c.resize(size, Image.Resampling.BILINEAR))
+    above = map_channels(below, lambda c: c.resize(size, Image.Resampling.BILINEAR))
     return total + (1 - known) * above[:rows, :columns]

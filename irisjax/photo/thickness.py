@@ -35,7 +35,7 @@ in simulated photographs the two correlate by 0.3 to 0.5 in the shade, and by 0.
 """
 # Other sources of contrast: standard deviation of ln luminance by pigment, vessels and folds (about
 # 0.05) over that of ln thickness (about 0.2), both assumed.
-_OTHER = 0.25
+_OTHER_CONTRAST = 0.25
 _MID_GREY = 0.18  # linear luminance to which the surroundings of each texel are exposed
 _RESPONSES = Range(-5, 5)  # next to 0 where the stroma is opaque
 _NOISE_WIDTH = 0.05  # mm, of the Gaussian along the radius that removes the sensor's noise
@@ -98,22 +98,22 @@ def shape_maps(
         shape: Angles and radii of the maps.
     """
     valid, texel = texture.valid, texture.millimetres_per_texel
-    freckles = freckles_of(texture, freckles)
+    freckles = freckle_mask(texture, freckles)
     filled = fill_holes(texture.pixels, ~(valid & ~freckles))
     # Filled freckles and small holes take part; texels outside the iris do not.
-    shown = valid | freckles
+    used = valid | freckles
     luminance = texture._replace(pixels=filled).luminance()
     if response is None:
-        relative = relative_luminance(luminance, shown, _WIDTH, texel)
-        normalised = local_normalisation(encoded_intensity(relative), shown, _WIDTH, texel)
+        relative = relative_luminance(luminance, used, _WIDTH, texel)
+        normalised = local_normalisation(encoded_intensity(relative), used, _WIDTH, texel)
         estimate = partial(f09_thickness, beta=beta)
     else:
-        normalised = local_contrast(luminance, shown, shade, texel)
-        normalised = along_fibres(normalised, shown, texture, response)
+        normalised = local_contrast(luminance, used, shade, texel)
+        normalised = remove_arcs(normalised, used, texture, response)
         estimate = partial(relative_thickness, response=response)
     normalised = np.maximum(normalised, np.float32(-0.99))
-    deconvolved = deconvolve(normalised, shown, sigma_mm, texel)
-    found, clamped = estimate(texture.radius(), fill_holes(deconvolved, ~shown))
+    deconvolved = deconvolve(normalised, used, sigma_mm, texel)
+    thickness, clamped = estimate(texture.radius(), fill_holes(deconvolved, ~used))
     spots = freckles.astype(np.float32)
     if darkness is not None:
         # The share that makes the filled luminance as dark as the one seen, at most the greatest.
@@ -122,14 +122,14 @@ def shape_maps(
         ratio = ndimage.gaussian_filter(ratio, _BLUR / texel)
         falling = np.minimum.accumulate(darkness[1])
         spots *= np.interp(ratio, falling[::-1], darkness[0][::-1]).astype(np.float32)
-    maps = IrisMaps(stroma_depth=jnp.asarray(texture.to_polar(found, shape)))
+    maps = IrisMaps(stroma_depth=jnp.asarray(texture.to_polar(thickness, shape)))
     if freckles.any():  # limited against the rounding of means
         maps = maps.replace(freckles=jnp.asarray(np.clip(texture.to_polar(spots, shape), 0, 1)))
-    count = int((clamped & shown).sum())
-    return Morphology(maps, freckles, deconvolved, found, count, sigma_mm, response)
+    count = int((clamped & used).sum())
+    return Morphology(maps, freckles, deconvolved, thickness, count, sigma_mm, response)
 
 
-def freckles_of(texture: Unrefracted, given: Mask | None = None) -> Mask:
+def freckle_mask(texture: Unrefracted, given: Mask | None = None) -> Mask:
     """Return the user's mask of freckles or that of `find_freckles`; `ValueError` if it has another
     shape or leaves nothing of the iris.
     """
@@ -148,7 +148,7 @@ def smooth_maps(eye: Eye) -> IrisMaps:
     return IrisMaps(stroma_depth=jnp.asarray(np.broadcast_to(depth, MAP_SHAPE)))
 
 
-def along_fibres(
+def remove_arcs(
     contrast: Brightness, valid: Mask, texture: Unrefracted, response: float
 ) -> Brightness:
     """Return the contrast of luminance smoothed along the radius, less what an arc about the axis
@@ -163,16 +163,16 @@ def along_fibres(
     inner, outer, texel = texture.pupil_radius, texture.iris_radius, texture.millimetres_per_texel
     angles = 64 * math.ceil(2 * math.pi * outer / texel / 64)  # Fourier transforms are fast
     radii = max(2, math.ceil((outer - inner) / texel))
-    known = (np.where(valid, v, np.float32(0)) for v in (contrast, valid))
-    cells = [texture.to_polar(v, (angles, radii)) for v in known]
+    masked = (np.where(valid, v, np.float32(0)) for v in (contrast, valid))
+    cells = [texture.to_polar(v, (angles, radii)) for v in masked]
     size = (outer - inner) / radii
 
     def along_radius(width):
         return [ndimage.gaussian_filter1d(c, width / size, mode="constant") for c in cells]
 
-    smooth = _ratio(*along_radius(_NOISE_WIDTH))
+    smooth = _weighted_mean(*along_radius(_NOISE_WIDTH))
     values, weights = along_radius(_ARC_WIDTH)
-    ring = _ratio(values.sum(0), weights.sum(0))
+    ring = _weighted_mean(values.sum(0), weights.sum(0))
     radius = inner + size * (np.arange(radii) + 0.5)
     frequency = np.arange(angles // 2 + 1, dtype=np.float32)[:, None]
     transfer = np.exp(-0.5 * (frequency * (_ARC_LENGTH / radius).astype(np.float32)) ** 2)
@@ -182,10 +182,10 @@ def along_fibres(
         return np.asarray(scipy.fft.irfft(spectrum * transfer, angles, axis=0))
 
     weight = over_arcs(weights)
-    arc = np.where(weight < _LEAST_ARC_WEIGHT, 0, _ratio(over_arcs(values), weight) - ring)
+    arc = np.where(weight < _LEAST_ARC_WEIGHT, 0, _weighted_mean(over_arcs(values), weight) - ring)
     share = np.float32(ARC_LIGHT**2 / (ARC_LIGHT**2 + response**2))
-    found = texture.from_polar(smooth - share * arc)
-    return np.where(valid, found, np.float32(0)).astype(np.float32)
+    result = texture.from_polar(smooth - share * arc)
+    return np.where(valid, result, np.float32(0)).astype(np.float32)
 
 
 def generic_thickness(radius: np.ndarray) -> np.ndarray:
@@ -197,8 +197,8 @@ def generic_thickness(radius: np.ndarray) -> np.ndarray:
     is the thickest place of an iris, where the quadratic would reach 1.3 mm, and it would rise
     again beyond 5.08 mm.
     """
-    within = np.clip(np.asarray(radius, np.float32), MEASURED.low, MEASURED.high)
-    return stroma_profile((within - 2.0) / 3.5)
+    clipped = np.clip(np.asarray(radius, np.float32), MEASURED.low, MEASURED.high)
+    return stroma_profile((clipped - 2.0) / 3.5)
 
 
 def encoded_intensity(relative: Brightness) -> Brightness:
@@ -217,9 +217,9 @@ def relative_luminance(
     """Return linear luminance over its mean around each texel; 1 where not valid or black: neither
     the exposure nor a shadow that falls across the eye shows.
     """
-    around = masked_mean(luminance, valid, width_mm / texel)
-    known = valid & (around > 1e-6)
-    return np.where(known, luminance / np.where(known, around, 1), 1).astype(np.float32)
+    surroundings = masked_mean(luminance, valid, width_mm / texel)
+    usable = valid & (surroundings > 1e-6)
+    return np.where(usable, luminance / np.where(usable, surroundings, 1), 1).astype(np.float32)
 
 
 def local_contrast(
@@ -231,14 +231,14 @@ def local_contrast(
     their own kind only, for light falls off steeply between them.
     """
     shade = np.zeros_like(valid) if shade is None else shade & valid
-    whole = np.zeros(valid.shape, np.float32)
-    kinds = (valid & ~shade, _WIDTH, 1.0), (shade, SHADE_WIDTH, SHADE_SHARE)
-    for kind, width, share in kinds:
-        if kind.any():
-            relative = relative_luminance(luminance, kind, width, texel)
-            found = local_normalisation(relative, kind, width, texel)
-            whole[kind] = np.float32(share) * found[kind]
-    return whole
+    contrast = np.zeros(valid.shape, np.float32)
+    regions = (valid & ~shade, _WIDTH, 1.0), (shade, SHADE_WIDTH, SHADE_SHARE)
+    for region, width, share in regions:
+        if region.any():
+            relative = relative_luminance(luminance, region, width, texel)
+            normalised = local_normalisation(relative, region, width, texel)
+            contrast[region] = np.float32(share) * normalised[region]
+    return contrast
 
 
 def local_normalisation(
@@ -271,23 +271,23 @@ def deconvolve(
         return np.where(valid, normalised, np.float32(0))
     sigma = sigma_mm / texel
     (box,) = ndimage.find_objects(valid.astype(np.uint8))
-    shown, wide = valid[box], int(np.ceil(3 * sigma))
-    around = np.pad(shown, wide)
+    part, margin = valid[box], int(np.ceil(3 * sigma))
+    padded = np.pad(part, margin)
     # The tissue continues beyond the visible part: without it the edges would seem dark.
-    light = np.pad(fill_holes(1 + normalised[box].astype(np.float32), ~shown), wide, mode="edge")
-    spread = partial(gaussian_mean, sigma=sigma, periodic=True)
-    weight = spread(around)
-    known = weight > 1e-3
+    light = np.pad(fill_holes(1 + normalised[box].astype(np.float32), ~part), margin, mode="edge")
+    blur = partial(gaussian_mean, sigma=sigma, periodic=True)
+    weight = blur(padded)
+    weighted = weight > 1e-3
     estimate = light
     for _ in range(iterations):
-        seen = np.maximum(spread(estimate), np.float32(1e-6))
-        ratio = spread(np.where(around, light / seen, 0)) / np.where(known, weight, 1)
-        estimate = np.where(known, estimate * ratio, estimate)
-    found = estimate[around] - np.float32(1)
-    kept = normalised[valid].mean(dtype=np.float64) - found.mean(dtype=np.float64)
-    whole = np.zeros(valid.shape, np.float32)
-    whole[valid] = found + np.float32(kept)
-    return whole
+        blurred = np.maximum(blur(estimate), np.float32(1e-6))
+        ratio = blur(np.where(padded, light / blurred, 0)) / np.where(weighted, weight, 1)
+        estimate = np.where(weighted, estimate * ratio, estimate)
+    sharpened = estimate[padded] - np.float32(1)
+    offset = normalised[valid].mean(dtype=np.float64) - sharpened.mean(dtype=np.float64)
+    deconvolved = np.zeros(valid.shape, np.float32)
+    deconvolved[valid] = sharpened + np.float32(offset)
+    return deconvolved
 
 
 def f09_thickness(
@@ -295,8 +295,8 @@ def f09_thickness(
 ) -> tuple[Brightness, Mask]:
     """Return the thickness (mm), and the texels that were clamped to `THINNEST`  [F09 Eq. 7]."""
     check_range("beta", beta, Range(0, 5, "mm"))
-    found = generic_thickness(radius) + np.float32(beta) * deconvolved
-    return np.maximum(found, np.float32(THINNEST)), found < THINNEST
+    thickness = generic_thickness(radius) + np.float32(beta) * deconvolved
+    return np.maximum(thickness, np.float32(THINNEST)), thickness < THINNEST
 
 
 def relative_thickness(
@@ -311,14 +311,14 @@ def relative_thickness(
     0.3 for a brown one); F09's β corresponds to about 5.
     """
     check_range("response", response, _RESPONSES)
-    power = response / (response**2 + _OTHER**2)
-    grown = np.maximum(1 + contrast, np.float32(1e-3)) ** np.float32(power)
-    found = generic_thickness(radius) * grown
-    clamped = (found < THINNEST) | (found > _THICKEST)
-    return np.clip(found, THINNEST, _THICKEST), clamped
+    power = response / (response**2 + _OTHER_CONTRAST**2)
+    factor = np.maximum(1 + contrast, np.float32(1e-3)) ** np.float32(power)
+    thickness = generic_thickness(radius) * factor
+    clamped = (thickness < THINNEST) | (thickness > _THICKEST)
+    return np.clip(thickness, THINNEST, _THICKEST), clamped
 
 
-def _ratio(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def _weighted_mean(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Means by their weights; 0 where there is no weight."""
-    none = weights < _LEAST_ARC_WEIGHT
-    return np.where(none, 0, values / np.where(none, 1, weights))
+    empty = weights < _LEAST_ARC_WEIGHT
+    return np.where(empty, 0, values / np.where(empty, 1, weights))

@@ -41,7 +41,10 @@ MARGIN = 0.35  # distance of the windows from the pupil's edge, mm
 # From root and limbus, mm: the white's soft edge, modelled only as a blend, shades the iris below.
 OUTER_MARGIN = 0.7
 COUNT = ANGLES * RINGS
-_MOST, _LEAST = 96, 24  # most pixels taken of a window; least pixels of one that counts
+_MOST_PIXELS, _LEAST_PIXELS = (
+    96,
+    24,
+)  # most pixels taken of a window; least pixels of one that counts
 _COPIES = 4  # turns of the maps that one pixel sees
 _Integrator = Separable | RadiativeIntegrator
 _WindowColours = Float[np.ndarray, "windows 3"]
@@ -110,21 +113,21 @@ class Windows(eqx.Module):
         self, iris: Iris, room: Scalar | float = 0.0
     ) -> tuple[_Modelled, _Modelled]:
         """Return `radiance`, and its derivative by the logarithm of the stroma's thickness."""
-        parts = self.aqueous_index, self.bands, self.ranges
-        found, status = self.integrator.coefficients(iris, *parts)
-        terms = found.reshape(-1, 3)
+        arguments = self.aqueous_index, self.bands, self.ranges
+        coefficients, status = self.integrator.coefficients(iris, *arguments)
+        terms = coefficients.reshape(-1, 3)
         if status is not None:
             terms = jnp.where(status == RESULTS.successful, terms, jnp.nan)
         matrix = self.matrix if self.room is None else self.matrix + room * self.room
-        full = (*matrix.shape[:2], 3, matrix.shape[3])
-        shown, slope = jnp.einsum("dwtk,kt->dwt", jnp.broadcast_to(matrix, full), terms)
-        shown += self.mirrored
-        return shown if self.room is None else shown + room * self.veil[:, None], slope
+        shape = (*matrix.shape[:2], 3, matrix.shape[3])
+        radiance, slope = jnp.einsum("dwtk,kt->dwt", jnp.broadcast_to(matrix, shape), terms)
+        radiance += self.mirrored
+        return radiance if self.room is None else radiance + room * self.veil[:, None], slope
 
     def thickness_response(self, iris: Iris) -> float:
         """Return d ln luminance / d ln thickness of a mean stroma, seen and lit from the front."""
-        seen = self._from_the_front(iris, self.ranges, Scales(stroma=jnp.asarray([0.9, 1.1])))
-        return float(np.log(seen[1] / seen[0]) / np.log(1.1 / 0.9))
+        luminance = self._from_the_front(iris, self.ranges, Scales(stroma=jnp.asarray([0.9, 1.1])))
+        return float(np.log(luminance[1] / luminance[0]) / np.log(1.1 / 0.9))
 
     def freckle_response(
         self, iris: Iris, shares: Float[np.ndarray, " shares"]
@@ -134,20 +137,26 @@ class Windows(eqx.Module):
         """
         spots = IrisMaps(freckles=jnp.asarray([shares, shares], float))
         ranges = self.ranges._replace(abl=scale_ranges(iris, spots).abl)
-        dark = spots.abl_scale(iris)
-        assert dark is not None
-        both = Scales(abl=dark[0], stroma=jnp.ones_like(dark[0]))
-        seen = self._from_the_front(iris, ranges, both)
-        return seen / self._from_the_front(iris, ranges, both._replace(abl=0 * dark[0] + 1))
+        abl_scale = spots.abl_scale(iris)
+        assert abl_scale is not None
+        scales = Scales(abl=abl_scale[0], stroma=jnp.ones_like(abl_scale[0]))
+        luminance = self._from_the_front(iris, ranges, scales)
+        return luminance / self._from_the_front(
+            iris, ranges, scales._replace(abl=0 * abl_scale[0] + 1)
+        )
 
     def _from_the_front(self, iris: Iris, ranges: Scales, scales: Scales) -> np.ndarray:
         """Luminance of uniform irides."""
-        found: Any = solve_response(self.integrator, iris, self.aqueous_index, self.bands, ranges)
-        one = jnp.ones_like(scales.stroma)
-        return np.asarray(LUMINANCE_WEIGHTS @ np.asarray(found.brdf(scales, one, one, 0 * one)))
+        response: Any = solve_response(
+            self.integrator, iris, self.aqueous_index, self.bands, ranges
+        )
+        ones = jnp.ones_like(scales.stroma)
+        return np.asarray(
+            LUMINANCE_WEIGHTS @ np.asarray(response.brdf(scales, ones, ones, 0 * ones))
+        )
 
 
-def windows_of(
+def make_windows(
     chosen: WindowPixels,
     eye: Eye,
     iris: Iris,
@@ -166,22 +175,22 @@ def windows_of(
     """
     ranges = scale_ranges(iris, maps)
     bands = colour_bands(lights.illuminant, cornea=eye.cornea)
-    made: Any = integrator.prepare(iris, eye.aqueous_index, bands, ranges)
-    known = eye, iris, maps, tables, ranges, bands, made
+    prepared: Any = integrator.prepare(iris, eye.aqueous_index, bands, ranges)
+    arguments = eye, iris, maps, tables, ranges, bands, prepared
     # Each pixel sees the maps at several turns: features of a window by chance would look like an
     # error of the contrast.
     turns, copies = (TURNS, _COPIES) if turned else (1, 1)
-    seen = jax.tree.map(lambda leaf: jnp.repeat(leaf, copies, -1), chosen.seen)
+    pixels = jax.tree.map(lambda leaf: jnp.repeat(leaf, copies, -1), chosen.seen)
     window = jnp.repeat(jnp.asarray(chosen.window), copies)
     # Neighbours in a window have different turns.
     turn = 2 * np.pi / turns * (np.arange(len(window)) % turns)
-    seen = dataclasses.replace(seen, turn=jnp.asarray(turn))
-    matrix, around = _matrix(seen, window, lights, *known), None
+    pixels = dataclasses.replace(pixels, turn=jnp.asarray(turn))
+    matrix, room_matrix = _matrix(pixels, window, lights, *arguments), None
     if room:
         uniform = Environment.uniform().to_lights(ENVIRONMENT_LIGHTS)
-        around = _matrix(seen, window, uniform, *known)
+        room_matrix = _matrix(pixels, window, uniform, *arguments)
     index = jnp.asarray(eye.aqueous_index)
-    return Windows(*chosen[2:], matrix, around, bands, ranges, made, index)
+    return Windows(*chosen[2:], matrix, room_matrix, bands, ranges, prepared, index)
 
 
 def choose_pixels(
@@ -199,33 +208,33 @@ def choose_pixels(
     shadows on it. Without it, windows in the shade are recognised by the photograph's brightness,
     which also drops windows that are dark themselves. Six windows at least must be free.
     """
-    seen = view.iris
-    if seen is None:
+    iris = view.iris
+    if iris is None:
         raise ValueError("the camera does not see the iris")
-    every = _windows_of_pixels(seen, clear, eye)
-    index, window = _some_of_each(every)
-    some = dataclasses.replace(seen, index=None)
-    some = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), some)
-    inside = every < COUNT
-    every, at = every[inside], project.pixel_numbers(seen)[inside]
-    number = np.bincount(every, minlength=COUNT)
+    windows = _windows_of_pixels(iris, clear, eye)
+    index, window = _sample_windows(windows)
+    sampled = dataclasses.replace(iris, index=None)
+    sampled = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), sampled)
+    inside = windows < COUNT
+    windows, numbers = windows[inside], project.pixel_numbers(iris)[inside]
+    count = np.bincount(windows, minlength=COUNT)
 
     def mean(values, channels: int):
         """Mean of the values of a picture in each window."""
-        values = values.reshape(-1, channels)[at].T
-        sums = [np.bincount(every, v, COUNT) for v in values]
-        return np.stack(sums, -1) / np.maximum(number, 1)[:, None]
+        values = values.reshape(-1, channels)[numbers].T
+        sums = [np.bincount(windows, v, COUNT) for v in values]
+        return np.stack(sums, -1) / np.maximum(count, 1)[:, None]
 
     colour = mean(pixels, 3)
     brightness = colour @ LUMINANCE_WEIGHTS if light is None else mean(light, 1)[:, 0]
-    present = (number > 0) & ~_shaded(brightness, number > 0)
+    present = (count > 0) & ~_find_shaded(brightness, count > 0)
     if present.sum() < 6:
         raise ValueError(
             f"only {present.sum()} windows of the iris are free of highlights, lashes, lids and "
             "their shadows; at least 6 are needed for the pigments"
         )
     veil, mirrored = _tear_film(view, clear.shape, environment)
-    return WindowPixels(some, window, colour, present, mean(veil, 1)[:, 0], mean(mirrored, 3))
+    return WindowPixels(sampled, window, colour, present, mean(veil, 1)[:, 0], mean(mirrored, 3))
 
 
 def iris_alone(pose: Pose) -> np.ndarray:
@@ -233,9 +242,9 @@ def iris_alone(pose: Pose) -> np.ndarray:
     shines through at the limbus.
     """
     rows, columns = pose.camera.shape
-    every = jnp.arange(rows * columns, dtype=jnp.int32)
-    seen = np.asarray(project.visible_parts(every, pose.eye, pose.camera))
-    return (seen & (IRIS | SCLERA) == IRIS).reshape(rows, columns)
+    index = jnp.arange(rows * columns, dtype=jnp.int32)
+    visible = np.asarray(project.visible_parts(index, pose.eye, pose.camera))
+    return (visible & (IRIS | SCLERA) == IRIS).reshape(rows, columns)
 
 
 def average_thickness(eye: Eye) -> float:
@@ -256,38 +265,42 @@ def average_maps(eye: Eye) -> IrisMaps:
 
 
 @eqx.filter_jit
-def _matrix(seen, window, lights, eye, iris, maps, tables, ranges, bands, integrator):
+def _matrix(pixels, window, lights, eye, iris, maps, tables, ranges, bands, integrator):
     response = integrator.response(iris, eye.aqueous_index, bands, ranges)
-    one = response.coefficients[..., :1]
+    first_channel = response.coefficients[..., :1]
     share = jnp.maximum(jnp.zeros(COUNT).at[window].add(1.0, mode="drop"), 1.0)
 
-    facing = IrisModel(eye, iris, maps).facing(seen)
+    facing = IrisModel(eye, iris, maps).facing(pixels)
 
-    def placed(log_scale):
+    def light_pixels(log_scale):
         thicker = maps.replace(stroma_depth=maps.stroma_depth * jnp.exp(log_scale))
-        front = IrisModel(eye, iris, thicker)
-        texels = integrator.texels(seen, front, ranges)
-        light = integrator.illuminate(seen, lights, front, tables, facing)
+        model = IrisModel(eye, iris, thicker)
+        texels = integrator.texels(pixels, model, ranges)
+        light = integrator.illuminate(pixels, lights, model, tables, facing)
         return eqx.partition((texels, light), eqx.is_inexact_array)
 
-    none = jnp.zeros((), one.dtype)
-    numbers, moved, rest = jax.jvp(placed, (none,), (jnp.ones_like(none),), has_aux=True)
+    zero = jnp.zeros((), first_channel.dtype)
+    numbers, derivatives, rest = jax.jvp(
+        light_pixels, (zero,), (jnp.ones_like(zero),), has_aux=True
+    )
 
     def means(numbers, coefficients):
-        held = eqx.tree_at(lambda r: r.coefficients, response, coefficients.reshape(one.shape))
-        shaded = held.shade(seen, *eqx.combine(numbers, rest))
-        added = jnp.zeros((COUNT, shaded.shape[0])).at[window].add(shaded.T, mode="drop")
-        return added / share[:, None]
+        with_coefficients = eqx.tree_at(
+            lambda r: r.coefficients, response, coefficients.reshape(first_channel.shape)
+        )
+        shaded = with_coefficients.shade(pixels, *eqx.combine(numbers, rest))
+        sums = jnp.zeros((COUNT, shaded.shape[0])).at[window].add(shaded.T, mode="drop")
+        return sums / share[:, None]
 
-    flat = jnp.zeros(one.size, one.dtype)
+    flat = jnp.zeros(first_channel.size, first_channel.dtype)
 
     def column(direction):
         def linear(numbers):
             return jax.jvp(lambda c: means(numbers, c), (flat,), (direction,))[1]
 
-        return jnp.stack(jax.jvp(linear, (numbers,), (moved,)))
+        return jnp.stack(jax.jvp(linear, (numbers,), (derivatives,)))
 
-    return jax.lax.map(column, jnp.eye(one.size)).transpose(1, 2, 3, 0)
+    return jax.lax.map(column, jnp.eye(first_channel.size)).transpose(1, 2, 3, 0)
 
 
 def ring_radius(eye: Eye, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -295,7 +308,7 @@ def ring_radius(eye: Eye, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray(eye.from_axis(eye.ring_of(x, y)[0]))
 
 
-def _shaded(light, present) -> Bool[np.ndarray, " windows"]:
+def _find_shaded(light, present) -> Bool[np.ndarray, " windows"]:
     """Windows much darker than most of their ring: in a shadow, whose edge is not modelled well."""
     rings = np.ma.masked_array(light, ~present).reshape(RINGS, ANGLES)
     return (rings < SHADED * np.ma.median(rings, axis=1)[:, None]).filled(False).ravel()
@@ -324,17 +337,17 @@ def _windows_of_pixels(seen: IrisPixels, clear, eye: Eye):
     ring = np.minimum((r - inner) / (outer - inner) * RINGS, RINGS - 1).astype(int)
     sector = np.minimum(around / (2 * np.pi) * ANGLES, ANGLES - 1).astype(int)
     window = np.where(usable, ring * ANGLES + sector, COUNT)
-    enough = np.bincount(window, minlength=COUNT + 1) >= _LEAST
+    enough = np.bincount(window, minlength=COUNT + 1) >= _LEAST_PIXELS
     return np.where(enough[window], window, COUNT)
 
 
-def _some_of_each(window):
+def _sample_windows(window):
     """Indices of some pixels of each window, and the numbers of their windows."""
     # Equally many of each, so that one compiled program serves all photographs.
-    index, name = np.zeros((COUNT, _MOST), int), np.full((COUNT, _MOST), COUNT)
+    index, name = np.zeros((COUNT, _MOST_PIXELS), int), np.full((COUNT, _MOST_PIXELS), COUNT)
     for w in np.unique(window[window < COUNT]):
         of = np.flatnonzero(window == w)
-        taken = of[np.linspace(0, len(of) - 1, min(_MOST, len(of))).astype(int)]
+        taken = of[np.linspace(0, len(of) - 1, min(_MOST_PIXELS, len(of))).astype(int)]
         index[w, : len(taken)], name[w, : len(taken)] = taken, w
     # Padding repeats a visible pixel.
     index[name == COUNT] = index[name < COUNT][0] if (name < COUNT).any() else 0

@@ -23,7 +23,7 @@ from irisjax.photo.clone import (
     width_by_rendering,
 )
 from irisjax.photo.edges import reduce_picture
-from irisjax.photo.masks import find_mirrored_face, part_of
+from irisjax.photo.masks import cut_part, find_mirrored_face
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.texture import follow_refraction, unrefract
 from irisjax.photo.thickness import shape_maps
@@ -59,7 +59,7 @@ def alone(posed):
 
 def test_a_frontal_eye_mirrors_no_face(first, posed):
     x, y = posed.pose.corner
-    limbus = part_of(first, posed.boundaries.limbus).limbus.moved(-x, -y)
+    limbus = cut_part(first, posed.boundaries.limbus).limbus.moved(-x, -y)
     outside = np.zeros(posed.clear.shape, bool)
     assert not find_mirrored_face(posed.part, outside, limbus, posed.view.mirror).any()
 
@@ -125,7 +125,7 @@ def test_texture_under_a_highlight_is_the_seconds(first, alone):
     assert np.corrcoef(seen, true)[0, 1] > 0.95
     # Pigments come from the first: its pixels are left as they are.
     (x, y), (rows, columns) = found.pose.corner, found.clear.shape
-    part = part_of(burnt, limbus).pixels[y : y + rows, x : x + columns]
+    part = cut_part(burnt, limbus).pixels[y : y + rows, x : x + columns]
     np.testing.assert_array_equal(found.part, part)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from irisjax.anatomy.eye import Eye
-from irisjax.photo.light import find_lighting, shade_on
+from irisjax.photo.light import find_lighting, find_shade
 from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pose import Pose
 from irisjax.photo.texture import Unrefracted, texels_of
@@ -102,11 +102,11 @@ def test_the_limbus_shades_the_side_of_the_lamp():
     texture = Unrefracted(np.ones((size, size, 3), np.float32), valid, 2.0, 5.5)
     tables = Illumination.build(eye, caustics=False, size=33)
     lamp = Lights.distant([0.9], [0.0], [np.pi])
-    shade = shade_on(texture, lamp, 0.0, eye, tables) & texture.valid
+    shade = find_shade(texture, lamp, 0.0, eye, tables) & texture.valid
     right = np.cos(texture.angle()) > 0.9
     outer, inner = radius > 4.9, radius < 3.5
     assert shade[right & outer & texture.valid].mean() > 0.9
     assert not shade[right & inner].any()
     # Opposite it fades more slowly, where the cornea is steep.
     assert shade[right].sum() > 1.5 * shade[np.cos(texture.angle()) < -0.9].sum()
-    assert not (shade_on(texture, lamp, 20.0, eye, tables) & texture.valid & (radius < 5)).any()
+    assert not (find_shade(texture, lamp, 20.0, eye, tables) & texture.valid & (radius < 5)).any()

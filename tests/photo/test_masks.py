@@ -10,7 +10,7 @@ from irisjax.photo.masks import (
     find_lashes,
     find_lids,
     find_reflections,
-    without_islands,
+    remove_islands,
 )
 from irisjax.photo.photograph import Ellipse
 
@@ -173,4 +173,4 @@ def test_a_faint_streak_below_a_lid_is_found_and_nothing_without_one():
 def test_slivers_along_a_lid_are_no_iris():
     clear = IRIS & ~LID
     sliver = IRIS & (SQUARE_ROW > 60) & (SQUARE_ROW < 64)
-    np.testing.assert_array_equal(without_islands(clear | sliver), clear)
+    np.testing.assert_array_equal(remove_islands(clear | sliver), clear)

@@ -10,8 +10,8 @@ from irisjax.photo.edges import FittedEllipse
 from irisjax.photo.outlines import (
     MIN_CONFIDENCE,
     Boundaries,
-    beginning_of,
     find_boundaries,
+    refine_pupil,
 )
 from irisjax.photo.photograph import Ellipse
 from photo.simulated import (
@@ -275,7 +275,7 @@ def test_a_horizon_over_the_pupil_does_not_move_where_the_iris_begins(small):
     """Beside the sky, whose light both sides of the rim have, the rise is as sharp as elsewhere."""
     eye = mirrored_horizon(small)
     known = FittedEllipse(eye.limbus, 1.0), FittedEllipse(eye.pupil, 1.0)
-    found = beginning_of(eye.photograph(), *known)
+    found = refine_pupil(eye.photograph(), *known)
     assert errors(found.outline, eye.pupil).max() < 0.02
     assert found.margin is not None and found.margin < 0.02
 

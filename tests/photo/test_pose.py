@@ -9,7 +9,7 @@ from irisjax.photo import pose
 from irisjax.photo.photograph import Ellipse, ellipse_through
 from irisjax.photo.pose import (
     DECENTRED,
-    FLATTER,
+    FLATTENING_RATIO,
     LIMBUS_FLAT,
     LIMBUS_OVAL,
     LIMBUS_RADII,
@@ -202,7 +202,7 @@ def test_intervals_hold_the_tilt_of_peoples_eyes(degrees):
         limbus = _flattened(circle, turned + LIMBUS_FLAT + of_limbus)
         aside = complex(*random.normal(0, DECENTRED / 5.9, 2)) + 0.2j / 5.9
         aside += PUPIL_SHIFT * np.sin(np.radians(degrees)) * np.exp(1j * side)
-        pupil = _flattened(circle.scaled(0.4), turned / FLATTER + of_pupil)
+        pupil = _flattened(circle.scaled(0.4), turned / FLATTENING_RATIO + of_pupil)
         pupil = pupil._replace(centre=(300 + 100 * aside.real, 300 - 100 * aside.imag))
         spread = np.array([LIMBUS_OVAL, PUPIL_OVAL])
         _, (low, high), _ = tilts_of_people(limbus, pupil, spread)

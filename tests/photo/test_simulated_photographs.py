@@ -14,7 +14,7 @@ from irisjax.io.photographs import read_photograph
 from irisjax.io.scenes import read_scene
 from irisjax.photo.clone import CloneSettings, Given, outline_eye, pose_eye
 from irisjax.photo.edges import reduce_picture
-from irisjax.photo.masks import find_mirrored_face, part_of
+from irisjax.photo.masks import cut_part, find_mirrored_face
 from irisjax.photo.outlines import MIN_CONFIDENCE, find_boundaries
 from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pose import find_pose
@@ -138,7 +138,7 @@ def test_what_lids_lashes_and_a_lamp_hide_is_masked(truth):
     """
     limbus, pupil = outline(truth, "limbus"), outline(truth, "pupil")
     names = truth["file"], truth["file"].replace("_dirty", "")
-    dirty, clean = (part_of(read_photograph(FOLDER / name), limbus) for name in names)
+    dirty, clean = (cut_part(read_photograph(FOLDER / name), limbus) for name in names)
     inner = dirty.moved(pupil)
     shape = dirty.outside.shape
     ring = dirty.limbus.mask(shape) & ~inner.mask(shape)
@@ -164,7 +164,7 @@ def test_the_mirrored_face_is_masked():
     found = pose_eye(outline_eye(photo, Given(limbus, pupil)), CloneSettings())
     mirror = found.view.mirror
     (x, y), part, clean = found.pose.corner, found.part, reduced(MASKED[-1].replace("_dirty", ""))
-    whole, (rows, columns) = part_of(clean, limbus), part.shape[:2]
+    whole, (rows, columns) = cut_part(clean, limbus), part.shape[:2]
     limbus, pupil = (whole.moved(e).moved(-x, -y) for e in (limbus, pupil))
     masked = find_mirrored_face(part, np.zeros(part.shape[:2], bool), limbus, mirror)
     bare = 1.2 * whole.pixels[y : y + rows, x : x + columns]

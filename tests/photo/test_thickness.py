@@ -9,7 +9,6 @@ from irisjax.photo.thickness import (
     ARC_LIGHT,
     SHADE_SHARE,
     THINNEST,
-    along_fibres,
     deconvolve,
     encoded_intensity,
     f09_thickness,
@@ -18,6 +17,7 @@ from irisjax.photo.thickness import (
     local_normalisation,
     relative_luminance,
     relative_thickness,
+    remove_arcs,
     shape_maps,
 )
 
@@ -245,7 +245,7 @@ def test_fibres_and_rings_stay(response, hidden):
     where, angle, radius = away_from_edges(texture), texture.angle(), texture.radius()
     for tissue in (0.1 * np.cos(40 * angle), 0.1 * np.sin(2 * np.pi * radius / 1.0)):
         seen = np.where(texture.valid, tissue, np.nan).astype(np.float32)
-        found = along_fibres(seen, texture.valid, texture, response)
+        found = remove_arcs(seen, texture.valid, texture, response)
         # A wave 1 mm long loses 1 − exp(−2π²·0.05²) = 0.048 of its height to the smoothing.
         np.testing.assert_allclose(found[where], tissue[where], atol=0.008)
         assert not found[~texture.valid].any()
@@ -257,7 +257,7 @@ def test_light_along_an_arc_is_taken_off(response):
     texture = ring()
     middle = np.exp(-0.5 * (np.angle(np.exp(1j * (texture.angle() + np.pi / 2))) / 0.5) ** 2)
     shadow = -0.2 * middle / (1 + np.exp(-(texture.radius() - 4.5) / 0.15))
-    found = along_fibres(shadow.astype(np.float32), texture.valid, texture, response)
+    found = remove_arcs(shadow.astype(np.float32), texture.valid, texture, response)
     where = away_from_edges(texture) & (middle > 0.9) & (texture.radius() > 4.8)
     left = found[where].mean() / shadow[where].mean()
     kept = response**2 / (ARC_LIGHT**2 + response**2)
@@ -272,7 +272,7 @@ def test_noise_is_averaged_along_the_radius():
     """
     texture = ring()
     noise = np.random.default_rng(1).normal(size=(RING_SIZE, RING_SIZE)).astype(np.float32)
-    found = along_fibres(noise, texture.valid, texture, 0.6)
+    found = remove_arcs(noise, texture.valid, texture, 0.6)
     left = found[away_from_edges(texture)].var()
     expected = 1 / (2 * np.sqrt(np.pi) * 0.05 / texture.millimetres_per_texel)
     assert 0.3 * expected < left < 1.05 * expected

@@ -28,7 +28,7 @@ from irisjax.photo.windows import (
     average_maps,
     choose_pixels,
     iris_alone,
-    windows_of,
+    make_windows,
 )
 from irisjax.render.bands import colour_bands
 from irisjax.render.environment import Environment
@@ -90,7 +90,7 @@ def drawn(bare):
 def lit(bare, drawn):
     eye, view, clear = bare
     pixels = choose_pixels(np.asarray(drawn[1]), clear, view, eye)
-    return windows_of(pixels, eye, BASE, maps(), Lighting(drawn[0]).lights(), QUICK, None, True)
+    return make_windows(pixels, eye, BASE, maps(), Lighting(drawn[0]).lights(), QUICK, None, True)
 
 
 def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels(lit):
@@ -117,7 +117,7 @@ def test_the_same_by_radiative_transfer(room):
     even = np.ones(SHAPE)  # windows in the shade of the limbus count here as well
     pixels = choose_pixels(np.asarray(draw(scene, tables)), alone(), view(), EYE, beside, even)
     lights = Lighting(lamps, beside).lights()
-    found = windows_of(pixels, EYE, BASE, maps(), lights, integrator, tables, room)
+    found = make_windows(pixels, EYE, BASE, maps(), lights, integrator, tables, room)
     _means_are_the_renderers(found, 0.002)
 
 
@@ -171,7 +171,7 @@ def test_features_of_an_average_iris_have_no_place():
     tables = Scene(BASE, eye=EYE, lights=LIGHTS).tables()
 
     def radiance(maps, turned, seen=every):
-        made = windows_of(seen, EYE, BASE, maps, LIGHTS, QUICK, tables, turned=turned)
+        made = make_windows(seen, EYE, BASE, maps, LIGHTS, QUICK, tables, turned=turned)
         return np.asarray(made.radiance(OTHER))
 
     np.testing.assert_allclose(radiance(moved, True), radiance(usual, True), rtol=1e-5)
