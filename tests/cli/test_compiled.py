@@ -178,12 +178,12 @@ import jax, numpy as np
 jax.config.update("jax_enable_x64", True)
 from irisjax.cli import compiled
 compiled.keep_compiled()
-made = compiled._compiled
-compiled._compiled = lambda *given: print("traced") or made(*given)
+made = compiled._compile
+compiled._compile = lambda *given: print("traced") or made(*given)
 from irisjax.numerics import chunks
 from irisjax.render import picture  # a module that takes names of others
-print(type(picture.ranges_of).__name__, float(chunks._concatenate([np.ones(2), np.ones(2)], 3).sum()))
-print(float(compiled.Kept(jax.jit(jax.numpy.linalg.det), "det")(np.diag([2.0, 3.0]))))
+print(type(picture.scale_ranges).__name__, float(chunks._concatenate([np.ones(2), np.ones(2)], 3).sum()))
+print(float(compiled.CachedFunction(jax.jit(jax.numpy.linalg.det), "det")(np.diag([2.0, 3.0]))))
 """
 
 
@@ -201,7 +201,7 @@ def test_another_process_finds_programs_and_lapack(folder):
     )
     assert first.count("traced") == 2
     assert second == [word for word in first if word != "traced"]
-    assert second[0] == "Kept"
+    assert second[0] == "CachedFunction"
     np.testing.assert_allclose([float(x) for x in second[1:]], [3.0, 6.0])
 
 

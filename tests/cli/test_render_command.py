@@ -317,7 +317,7 @@ def test_pigment_reaches_brown_from_any_eye():
     scene = parse_scene(
         '[iris]\npreset = "blue"\n[maps]\nuniform = true\n[eye]\ncornea = "none"'
     ).scene()
-    light, dark = render.frames(scene.replace(camera=Camera(size=(8, 6))), "pigment", 2)
+    light, dark = render.animation_frames(scene.replace(camera=Camera(size=(8, 6))), "pigment", 2)
     assert dark.max(axis=(0, 1))[2] < 0.3 * light.max(axis=(0, 1))[2]
 
 
