@@ -68,6 +68,15 @@ def test_pixels_are_single_fits(problem, starts, spectra):
     assert not found.flags.any()
 
 
+def test_a_search_that_starts_at_its_optimum_converges(problem, spectra):
+    o, ends = problem.observations[0], []
+    for spectrum in spectra[:16]:
+        mine = problem.with_observations(with_values(o, jnp.asarray(spectrum)))
+        ends.append(np.asarray(fit(mine, key=jax.random.key(0)).z))
+    found = fit_pixels(problem, spectra[:16], starts_at(problem, np.stack(ends)))
+    assert not (found.flags & PixelFlag.NOT_CONVERGED).any()
+
+
 def test_a_pixel_depends_on_its_own_spectrum_and_the_table(problem, starts, spectra):
     found = fit_pixels(problem, spectra, starts)
     with ThreadPoolExecutor(2) as pool:
