@@ -33,7 +33,7 @@ _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red an iris.
 _THICKNESS = {"hazel": 0.35, "amber": 0.45, "brown": 0.35}
 _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.0286, 0.00936, 0.0201, 0.217, 7.77), (0.0815, 0.00837, 0.0674, 0.148, 15.0)),
+    "blue": ((0.0597, 0.0144, 0.253, 0.22, 8.11), (0.0474, 0.0213, 0.181, 0.155, 15.1)),
     "grey": ((0.0948, 0.032, 0.525, 0.14, 10.7), (0.103, 0.0306, 0.507, 0.0902, 27.5)),
     "green": ((0.00741, 0.494, 0.98, 0.0145, 17.3), (0.0263, 0.682, 0.969, 0.0304, 29.4)),
     "hazel": ((0.44, 0.586, 0.684, 0.264, 34.7), (0.181, 0.787, 0.57, 0.197, 32.5)),
