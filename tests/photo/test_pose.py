@@ -28,7 +28,7 @@ EYE = Eye()
 def round_limbi(monkeypatch):
     """Limbi that are round in the mean, and no preferred tilt: what a camera projects comes back."""
     monkeypatch.setattr(pose, "LIMBUS_FLAT", 0.0)
-    monkeypatch.setattr(pose, "_unusual", np.zeros_like)
+    monkeypatch.setattr(pose, "_tilt_cost", np.zeros_like)
 
 
 def camera_at(polar=0.0, azimuth=0.0, distance=300.0):
