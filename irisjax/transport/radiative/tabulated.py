@@ -193,7 +193,8 @@ def _read_jvp(primals, tangents):
             continue
 
         def along(x, axis=axis):
-            return _functions(table, *places[:axis], x, *places[axis + 1 :])
+            moved = [x if i == axis else place for i, place in enumerate(places)]
+            return _functions(table, *moved)
 
         _, derivatives = jax.jvp(along, (places[axis],), (jnp.ones_like(places[axis]),))
         slope = slope[None] if axis == 3 else slope[:, None]
