@@ -23,7 +23,8 @@ from irisjax.view.server import Newest
 def counted(monkeypatch):
     """How often each function of a picture was computed."""
     return counting(
-        monkeypatch, **dict.fromkeys(("look", "texture", "illuminate", "respond"), session)
+        monkeypatch,
+        **dict.fromkeys(("project_visible", "texture", "illuminate", "respond"), session),
     )
 
 
@@ -66,7 +67,7 @@ def test_drafts_are_kept_apart(bare, counted):
     fine = found.update()
     assert found.update(draft=True).shape == (3, 4, 3)
     np.testing.assert_array_equal(found.update(), fine)
-    assert counted == {"look": 1, "texture": 2, "illuminate": 2, "respond": 1}
+    assert counted == {"project_visible": 1, "texture": 2, "illuminate": 2, "respond": 1}
 
 
 def test_a_preset_brings_its_pigments(bare, monkeypatch):
