@@ -179,7 +179,7 @@ def file_header(
     }
     if solver is not None:
         lines["approximation"] = _approximation(process, left_out)
-    # As float: NumPy's texts lose digits once colour-science has been imported.
+    # Python's floats, since NumPy's are written with fewer digits once colour-science is imported.
     numbers = {
         name: float(getattr(iris if name in LIMITS else iris.power_law, name))
         for name in iris.parameters()

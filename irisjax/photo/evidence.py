@@ -149,7 +149,8 @@ def darkness(picture: Brightness, hole: Ellipse) -> tuple[float, float]:
     if not inside.size:
         return 0.0, 0.0
     level = float(np.quantile(inside, 0.25))
-    # A ray of which nothing is seen around is no evidence of a brighter surrounding.
+    # A ray of whose surrounding nothing is known has no median (NaN). It counts as dark as the
+    # hole: no evidence of a brighter surrounding.
     surrounding = np.nan_to_num(_finite_median(profile[:, place > 1.12], 1), nan=level)
     iris = float(np.median(surrounding))
     dark = np.clip((1 - level / (iris + 1e-9) - 0.4) / 0.5, 0, 1)

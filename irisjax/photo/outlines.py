@@ -571,7 +571,8 @@ def _limbus_edges(picture, colour, outline, span=_LIMBUS_SPAN, count=161, widths
     steps = edges.fit_steps(profile, span, widths, 0.2)
     if colour is None:
         return steps, np.ones(steps.fit.shape), profile
-    # Beyond the picture's edge nothing is known: a tint of 9, far redder than tissue, is not white.
+    # Beyond the picture's edge the tint is NaN, and no white may be found there: 9 is far redder
+    # than any tissue.
     tint = np.nan_to_num(sample_along_rays(colour, outline, span, count), nan=9.0)
     pitch = steps.place[1] - steps.place[0]
     smooth = ndimage.uniform_filter1d(tint, max(1, round(0.05 / pitch)), axis=1)

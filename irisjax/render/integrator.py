@@ -67,7 +67,8 @@ class AbstractIntegrator(eqx.Module):
         facing: Facing | None,
     ) -> Any:
         """Compute the light at each pixel in the form that the response needs, whatever the
-        pigments. `tables` is `None` for an iris without a cornea; `facing` is `Front.facing`.
+        pigments. `tables` is `None` for an iris without a cornea; `facing` is
+        `IrisModel.facing`.
         """
 
     @abc.abstractmethod

@@ -22,7 +22,7 @@ _STEPS = 8  # polar angles from straight ahead to the camera's, at which the sea
 
 
 class Pixels(NamedTuple):
-    """Where points appear in a camera.
+    """Places at which points appear in a camera's picture.
 
     Attributes:
         column: Columns, whole numbers in the middles of pixels; they may lie outside the picture.

@@ -237,7 +237,8 @@ def visible_parts(index: Array, eye: Eye, camera: Camera) -> Int8[Array, " pixel
 def trace_iris(index: Array, eye: Eye, camera: Camera) -> IrisPixels:
     """Trace pixels of these numbers to the iris; those that do not see it get a share of 0."""
     origin, direction = camera.rays(index, eye)
-    # Those get a line of sight to a point away from all edges, where derivatives are finite.
+    # Pixels without iris get a line of sight to a point away from all edges, where derivatives are
+    # finite.
     aside, zero = 0.5 * eye.iris_radius, jnp.zeros_like(eye.iris_radius)
     ahead = jnp.stack([zero, zero, zero + 1])
     if eye.cornea is None:
@@ -301,7 +302,7 @@ def _tear_film(index, eye: Eye, camera: Camera):
 
 
 class _OuterSurface(NamedTuple):
-    """Where lines of sight meet the outer surface of the eye.
+    """Intersections of lines of sight with the outer surface of the eye, one a pixel.
 
     Attributes:
         front: Point on the cornea's conicoid, mm.

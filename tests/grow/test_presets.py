@@ -41,7 +41,7 @@ def scene(colour, integrator):
 
 @pytest.fixture(scope="module")
 def tables():
-    """Of the light on the iris: these eyes differ in nothing that it depends on."""
+    """Tabulate the light on the iris once: it depends on nothing in which these eyes differ."""
     return scene("blue", "separable").tables()
 
 

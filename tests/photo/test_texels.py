@@ -107,7 +107,7 @@ def test_the_picture_of_the_texels_is_the_photograph(view):
     assert off[0] > 0.05 and off[1] < 0.5 * off[0]
     assert 0.5 * window.sum() / known.sum() < found.outside < 2 * window.sum() / known.sum()
     assert found.gain == 1
-    # Of the number types of the table that was inverted, so that its program draws the picture too.
+    # Maps have the precision of the table that was inverted, so that its program draws the picture.
     factors = (found.maps.eumelanin, found.maps.pheomelanin, found.maps.residual)
     assert {np.asarray(f).dtype for f in factors} == {np.dtype(np.float32)}
 

@@ -184,6 +184,7 @@ _read = eqx.filter_custom_jvp(_functions)
 def _read_jvp(primals, tangents):
     """Derivatives by one coordinate after the other, each from its own axis, serve all tangents."""
     (table, *places), (of_table, *slopes) = primals, tangents
+    # Without this the rule would leave derivatives by the table out, and they would be wrong.
     if jax.tree.leaves(of_table):
         raise NotImplementedError("tables are constants; derivatives by them do not exist")
     values = _functions(table, *places)
