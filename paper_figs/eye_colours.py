@@ -46,10 +46,13 @@ for axes, (x, y, xl, yl) in zip(panels, ((1, 2, "a*", "b*"), (2, 0, "b*", "L*"))
         )
     for row in rows:
         lab = [float(row[k]) for k in ("L", "a", "b")]
-        axes.plot(lab[x], lab[y], MODELS[row["integrator"]][0], color=COLOURS[row["colour"]])
+        mark, _ = MODELS[row["integrator"]]
+        inside = COLOURS[row["colour"]] if mark == "o" else "none"  # both are seen where they meet
+        axes.plot(lab[x], lab[y], mark, color=COLOURS[row["colour"]], mfc=inside, mew=1.5)
     axes.set(xlabel=xl, ylabel=yl)
 marks = [
-    plt.Line2D([], [], color="k", marker=m, ls="", label=label) for m, label in MODELS.values()
+    plt.Line2D([], [], color="k", marker=m, mfc="k" if m == "o" else "none", ls="", label=label)
+    for m, label in MODELS.values()
 ]
 marks.append(plt.Line2D([], [], color="k", marker="D", mfc="w", ls="", ms=4, label="class, ±1 SD"))
 marks += [plt.Line2D([], [], color=c, lw=3, label=name) for name, c in COLOURS.items()]
