@@ -78,10 +78,14 @@ class Unrefracted(NamedTuple):
 
 @functools.lru_cache(maxsize=2)
 def texels_of(size: int) -> tuple[Brightness, Brightness]:
-    """Return radius (mm) and angle (radians) of the middles of the texels of a texture."""
+    """Return radius (mm) and angle (radians) of the middles of the texels of a texture, as arrays
+    that all callers share and none may write to.
+    """
     along = ((np.arange(size) + 0.5) * (2 * HALF_WIDTH / size) - HALF_WIDTH).astype(np.float32)
     x, y = along[None, :], -along[:, None]
-    return np.hypot(x, y), np.arctan2(y, x)
+    radius, angle = np.hypot(x, y), np.arctan2(y, x)
+    radius.flags.writeable = angle.flags.writeable = False
+    return radius, angle
 
 
 def gaussian_mean(
