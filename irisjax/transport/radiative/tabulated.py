@@ -167,6 +167,7 @@ def _of_cosine(cosine, indices: RefractiveIndices):
     return 2 * (cosine - low) / (1 - low) - 1
 
 
+@full_precision  # of its own: the rule of its derivatives is traced after `solve` has returned
 def _functions(table: Tucker, abl, depth, coalbedo, cosine):
     """A table's functions at coordinates, each of shape (wavelengths, beams)."""
     core = jnp.einsum("abzmf,mk->fkbaz", table.core, table.basis(3, cosine))
