@@ -178,7 +178,8 @@ def weighted_draws(
     base = jnp.asarray(stats.t(_DEGREES).ppf(points), jnp.result_type(float))
     nameless = problem.unnamed()
     run = functools.partial(_weighted_rows, flow, nameless, base)
-    return Weighted(*map_rows(run, (values, sd, z, covariance), _ROWS, each))
+    rows = _ROWS if len(values) > 1 else 1  # or one spectrum would be drawn as often as `_ROWS`
+    return Weighted(*map_rows(run, (values, sd, z, covariance), rows, each))
 
 
 def with_chains(
