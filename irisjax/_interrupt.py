@@ -22,7 +22,8 @@ _PATIENCE = 1.2  # seconds
 _UNFINISHED: set[Path] = set()
 _signalled = threading.Event()
 _expected = threading.Event()
-_said = threading.Lock()  # held once the line is printed
+_said = threading.Event()
+_printing = threading.Lock()
 
 
 @contextlib.contextmanager
@@ -36,17 +37,19 @@ def unfinished(path: Path) -> Iterator[Path]:
 
 
 def say() -> None:
-    """Print the line, once for all threads."""
-    if not _expected.is_set() and _said.acquire(blocking=False):
-        print("irisjax: interrupted", file=sys.stderr, flush=True)
+    """Print the line, once for all threads; it is printed whole when any of them returns."""
+    with _printing:
+        if not (_expected.is_set() or _said.is_set()):
+            _said.set()
+            sys.stderr.write("irisjax: interrupted\n")
+            sys.stderr.flush()
 
 
 def begin() -> None:
     """Start a command, of which nothing is printed yet."""
     if not _signalled.is_set():
         _expected.clear()
-        if _said.locked():
-            _said.release()
+        _said.clear()
 
 
 def expect() -> None:

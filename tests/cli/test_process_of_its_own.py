@@ -5,7 +5,9 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -52,6 +54,25 @@ def test_ctrl_c_while_importing(monkeypatch, capsys):
     with pytest.raises(SystemExit) as left:
         door()
     assert (left.value.code, capsys.readouterr().err) == (130, "irisjax: interrupted\n")
+
+
+def test_nobody_leaves_while_another_thread_prints_the_line(monkeypatch):
+    """A process that is left in between would have ended in half a line."""
+    printed, begun = [], threading.Event()
+
+    def write(text):
+        begun.set()
+        time.sleep(0.2)
+        printed.append(text)
+
+    _interrupt.begin()
+    monkeypatch.setattr(sys, "stderr", SimpleNamespace(write=write, flush=lambda: None))
+    other = threading.Thread(target=_interrupt.say)
+    other.start()
+    begun.wait()
+    _interrupt.say()
+    assert "".join(printed) == "irisjax: interrupted\n"
+    other.join()
 
 
 ON_POSIX = pytest.mark.skipif(
