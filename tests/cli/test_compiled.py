@@ -82,7 +82,6 @@ def test_arguments_by_name_have_programs_of_their_own(folder):
 @pytest.mark.peer  # the real command, in two processes
 def test_a_picture_is_drawn_with_the_programs_that_were_kept(tmp_path):
     environment = {**os.environ, "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "kept")}
-    environment["XLA_FLAGS"] = "--xla_backend_optimization_level=0"
     pictures = []
     for name in ("first.png", "second.png"):
         said = ("render", "--preset", "blue", "--size", "48x36", "-o", str(tmp_path / name))

@@ -155,8 +155,7 @@ os.execv(sys.argv[1], sys.argv[1:])
 
 def _command(folder, *arguments, before=(), **more):
     """`irisjax fit --batch` in a process of its own, with a cache that all these share."""
-    flags = "--xla_backend_optimization_level=0"
-    env = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(folder / "cache"), "XLA_FLAGS": flags}
+    env = os.environ | {"JAX_COMPILATION_CACHE_DIR": str(folder / "cache")}
     model = ("--process", "ilit-2006", "--free", "melanin_load")
     call = [sys.executable, *before, "-m", "irisjax", "fit", "--batch", folder / "eyes.csv", *model]
     return subprocess.Popen(
