@@ -23,11 +23,16 @@ _Key = TypeVar("_Key", bound=Hashable)
 _PIECES_AHEAD = 4  # submitted for each core of the workers, so that none waits for work
 _PATIENCE = 120  # seconds in which a lost scheduler may come back
 _CONNECTING = 10  # seconds in which a scheduler must answer at first
-_OUR_WORKERS = {  # dask's own choice for each costs a chain a tenth to a fifth of its time
+_OUR_WORKERS = {
+    # Dask's own choice for each of the first three costs a chain a tenth to a fifth of its time.
     # The C library keeps the memory that a step of a chain returns, for the next step.
     "distributed.nanny.pre-spawn-environ.MALLOC_TRIM_THRESHOLD_": 2**30,
     "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 2**25,
     "distributed.worker.profile.enabled": False,
+    # After this time dask would give a worker up for good if it happened to be down just then, and
+    # the pieces would wait for ever; but the worker's nanny always starts another.
+    "distributed.deploy.lost-worker-timeout": "365 days",
+    "distributed.scheduler.allowed-failures": 1,
 }
 _KILLED = "the worker died on it several times (has it enough memory?)"
 
