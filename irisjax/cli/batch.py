@@ -199,8 +199,8 @@ def _fit_chunk(
     except ValueError as error:
         return {name: _row(name, FAILED, "", str(error)) for name in chunk}, {}
     devices = jax.device_count()
-    full = _CHUNK * devices
-    count = full if len(chunk) >= full else -(-len(chunk) // devices) * devices
+    # A power of two on each device, so that few programs serve all numbers of eyes.
+    count = devices * min(_CHUNK, 1 << (-(-len(chunk) // devices) - 1).bit_length())
     padded = spectra + [spectra[-1]] * (count - len(chunk))
     dtype = jnp.result_type(float)
     values, sds = (
