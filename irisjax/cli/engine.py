@@ -30,7 +30,7 @@ _OUR_WORKERS = {
     "distributed.nanny.pre-spawn-environ.MALLOC_MMAP_THRESHOLD_": 2**25,
     "distributed.worker.profile.enabled": False,
     # After this time dask would give a worker up for good if it happened to be down just then, and
-    # the pieces would wait for ever; but the worker's nanny always starts another.
+    # the pieces would wait for ever; but the worker's nanny starts another.
     "distributed.deploy.lost-worker-timeout": "365 days",
     "distributed.scheduler.allowed-failures": 1,
 }

@@ -22,11 +22,11 @@ _OD = "optical density or right eye"  # oculus dexter, the right one where OS is
 _WITHOUT_ASKING = (REFLECTANCE, ABSORBANCE, KUBELKA_MUNK, "", _MEAN)  # the first that there is
 # These words count between characters that are no letters, as in "left_sd" and "SD (R)".
 _SD_WORDS = (
-    r"sd|std|stds?dev|stdev|std\W?dev(iation)?|se|sem|stderr|err|errors?|sigma|σ|(?<!a\.)u|unc|uncert|incert\w*|"
-    r"uncertainty|noise|δr|dr|(?<=[+±])/-|±|"
+    r"sd|std|stds?dev|stdev|std\W?dev(iation)?|se|sem|stderr|err|errors?|sigma|σ|"
+    r"(?<!a\.)u|unc|uncert|incert\w*|uncertainty|noise|δr|dr|(?<=[+±])/-|±|"
     r"standard[\W_]?(deviation|error|uncertainty)|standardabweichung|stabw|standardfehler|"
-    r"[ée]cart[\W_]?type|(mess)?unsicherheit|desviaci[oó]n|desvio|deviazione|scarto|standaardafwijking|"
-    r"standardavvikelse|odchylenie|отклонение|標準偏差|标准差"
+    r"[ée]cart[\W_]?type|(mess)?unsicherheit|desviaci[oó]n|desvio|deviazione|scarto|"
+    r"standaardafwijking|standardavvikelse|odchylenie|отклонение|標準偏差|标准差"
 )
 _BEFORE, _AFTER = r"(?<![^\W\d_])", r"(?![^\W\d_])"
 # The first form that a header matches gives its role.

@@ -30,7 +30,8 @@ WAVELENGTH_UNITS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 """Units of a first column, and its conversion to nm."""
 
 _NO_WAVELENGTH = re.compile(
-    r"hz\b|frequen|\beV\b|energ|Å|angstr|\(m\)|pixel|index|channel|shift|^(band|time|date|year|no)\b",
+    r"hz\b|frequen|\beV\b|energ|Å|angstr|\(m\)|pixel|index|channel|shift|"
+    r"^(band|time|date|year|no)\b",
     re.I,
 )
 _PERCENT = re.compile(r"%|per\s?cent|prozent|pour\s?cent", re.I)
