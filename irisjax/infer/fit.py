@@ -163,30 +163,35 @@ def words_for(status: FitStatus) -> str:
 
 @eqx.filter_jit
 def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> Fit:
-    dtype, free = jnp.result_type(float), len(problem.free)
-    moving = np.asarray(problem.moving, int)
-
-    def expand(x):
-        """All of z from its fitted part; the rest at the priors' medians."""
-        return jnp.zeros(free, dtype).at[moving].set(x)
-
-    def residuals(x, weight, problem):
-        data, predicted, solved = problem.evaluated(expand(x))
-        return jnp.concatenate([data, weight * x]), (data, predicted, solved)
-
+    dtype, moving = jnp.result_type(float), np.asarray(problem.moving, int)
     weights = jnp.asarray([1.0 if use_priors else 0.0], dtype)
     if not use_priors:
         signal = [problem.noise.whiten(o, jnp.zeros_like(o.values)) for o in problem.observations]
         weights = jnp.append(0.1 * jnp.sqrt(jnp.mean(jnp.concatenate(signal) ** 2)), weights)
+    free = len(problem.free)
     initial = jnp.zeros(free, dtype) if start is None else jnp.asarray(start, dtype)
     best = least_squares(
         residuals, problem, initial[moving], weights=weights, solver=solver,
         starts=starts, rounds=rounds, max_steps=max_steps, key=key,
     )  # fmt: skip
+    return fit_at(problem, best, use_priors)
+
+
+def residuals(x: Float[Array, " moving"], weight: Any, problem: Problem) -> Any:
+    """Residuals of the data and of the priors, for `least_squares`, and those of the data, the
+    predicted readings and the solver's status.
+    """
+    data, predicted, status = problem.evaluated(_expanded(problem, x))
+    return jnp.concatenate([data, weight * x]), (data, predicted, status)
+
+
+def fit_at(problem: Problem, best: Minimum, use_priors: bool = True) -> Fit:
+    """Return the fit of a problem whose `residuals` have this minimum."""
+    dtype, free, moving = jnp.result_type(float), len(problem.free), np.asarray(problem.moving, int)
     data, predicted, solved = best.aux
     covariance = jnp.zeros((free, free), dtype).at[np.ix_(moving, moving)].set(best.covariance)
     jacobian = jnp.zeros((data.size, free), dtype).at[:, moving].set(best.jacobian[: data.size])
-    z = expand(best.x)
+    z = _expanded(problem, best.x)
     slope = problem.slopes(z)
     sd = jnp.abs(slope) * jnp.sqrt(jnp.diag(covariance))
     chi_square = (data**2).sum()
@@ -200,6 +205,11 @@ def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> 
         z, jacobian / slope, covariance, values, sds, predicted, chi_square, degrees, best.cost,
         best.agreeing, best.steps, status,
     )  # fmt: skip
+
+
+def _expanded(problem: Problem, x: Float[Array, " moving"]) -> Float[Array, " free"]:
+    """All of z from its fitted part; the rest at the priors' medians."""
+    return jnp.zeros(len(problem.free), x.dtype).at[np.asarray(problem.moving, int)].set(x)
 
 
 def _status(best: Minimum, chi_square, limit: float, solved) -> FitStatus:

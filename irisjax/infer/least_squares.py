@@ -113,6 +113,83 @@ def least_squares(
     return Minimum(x, cost, jacobian, aux, steps, result, count, agreeing, elsewhere)
 
 
+def least_squares_of_rows(
+    residuals: Callable[[Any, Any, Any], Any],
+    rows: Any,
+    starts: Float[Array, "rows moving"],
+    *,
+    solver: optx.AbstractLeastSquaresSolver[Array, Array, Any, Any],
+    lanes: int,
+    max_steps: int = 200,
+) -> Minimum:
+    """Find what `least_squares` finds of each of many problems from one start, in lanes that do not
+    wait for each other: a lane whose search has ended takes the next row. Call it inside a jitted
+    function.
+
+    Args:
+        residuals: As for `least_squares`, of a row in place of `args`.
+        rows: Whatever else the residuals of each row depend on, rows first; not differentiable.
+        starts: Where the searches start.
+        solver: Rule of the steps.
+        lanes: Number of searches that run at a time.
+        max_steps: Largest number of steps of a search.
+
+    Returns:
+        The minima, rows first.
+    """
+    rows = nondifferentiable(rows, name="the data of least squares")
+    function, weight = _with_jacobian(residuals), jnp.ones((), starts.dtype)
+    count, tags = len(starts), frozenset[object]()
+
+    def pick(places):
+        places = jnp.minimum(places, count - 1)
+        return starts[places], jax.tree.map(lambda array: array[places], rows)
+
+    def begin(x, row):
+        residual, aux = eqx.filter_eval_shape(function, x, (weight, row))
+        return solver.init(function, x, (weight, row), {}, residual, aux, tags)
+
+    places = jnp.arange(lanes)
+    x, row = pick(places)
+    dynamic, static = eqx.partition(eqx.filter_vmap(begin)(x, row), eqx.is_array)
+
+    def step(x, dynamic, steps, row):
+        args, state, steps = (weight, row), eqx.combine(static, dynamic), steps + 1
+        x, state, aux = solver.step(function, x, args, {}, state, tags)
+        done, result = solver.terminate(function, x, args, {}, state, tags)
+        result = optx.RESULTS.where(jnp.isfinite(x).all(), result, optx.RESULTS.nonfinite)
+        exhausted = (steps >= max_steps) & ~done & (result == optx.RESULTS.successful)
+        result = optx.RESULTS.where(exhausted, optx.RESULTS.nonlinear_max_steps_reached, result)
+        ended = done | (result != optx.RESULTS.successful)
+        return x, eqx.filter(state, eqx.is_array), steps, ended, (aux, steps, result)
+
+    def advance(state):
+        places, x, dynamic, steps, ends = state
+        x, dynamic, steps, ended, end = eqx.filter_vmap(step)(x, dynamic, steps, pick(places)[1])
+        # A lane without a row has a place behind all rows: what it finds is dropped.
+        stored = jnp.where(ended, places, count)
+        ends = jax.tree.map(lambda rows, new: rows.at[stored].set(new, mode="drop"), ends, end)
+        # The rows that no lane has had yet begin behind the last place.
+        places = jnp.where(ended, places.max() + jnp.cumsum(ended), places)
+        first, row = pick(places)
+        begun = first, eqx.filter(eqx.filter_vmap(begin)(first, row), eqx.is_array), 0 * steps
+
+        def renew(new, old):
+            return jnp.where(ended.reshape(-1, *(1,) * (old.ndim - 1)), new, old)
+
+        return places, *jax.tree.map(renew, begun, (x, dynamic, steps)), ends
+
+    state = x, dynamic, jnp.zeros_like(places)
+    *_, shapes = eqx.filter_eval_shape(eqx.filter_vmap(step), *state, row)
+    ends = jax.tree.map(lambda s: jnp.zeros((count, *s.shape[1:]), s.dtype), shapes)
+    state = places, *state, ends
+    *_, ends = jax.lax.while_loop(lambda state: (state[0] < count).any(), advance, state)
+    (x, cost, jacobian, aux), steps, result = ends
+    cost, one = jnp.where(jnp.isfinite(cost), cost, jnp.inf), jnp.ones_like(steps)
+    converged = (result == optx.RESULTS.successful).astype(one.dtype)
+    return Minimum(x, cost, jacobian, aux, steps, result, one, converged, 0 * one)
+
+
 def levenberg_marquardt(
     rtol: float = 1e-8, atol: float = 1e-8
 ) -> optx.LevenbergMarquardt[Array, Array, Any]:

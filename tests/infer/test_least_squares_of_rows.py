@@ -1,0 +1,67 @@
+"""Least squares of many rows in lanes: the minima of single searches, whatever the lanes."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix as optx
+import pytest
+
+from irisjax.infer.least_squares import (
+    least_squares,
+    least_squares_of_rows,
+    levenberg_marquardt,
+)
+
+# Rosenbrock's valley, as narrow as the row says: some searches take many times as long as others.
+NARROW = np.geomspace(0.1, 300.0, 11)
+STARTS = np.stack([np.linspace(-1.5, 1.5, 11), np.full(11, 2.0)], axis=1)
+
+
+def valley(x, weight, narrow):
+    return jnp.stack([narrow * (x[1] - x[0] ** 2), 1 - x[0], 0.1 * weight * x[0]]), narrow
+
+
+@eqx.filter_jit
+def in_lanes(rows, starts, lanes, max_steps=200):
+    solver = levenberg_marquardt()
+    return least_squares_of_rows(
+        valley, rows, starts, solver=solver, lanes=lanes, max_steps=max_steps
+    )
+
+
+@pytest.fixture(scope="module")
+def four_lanes():
+    return in_lanes(jnp.asarray(NARROW), jnp.asarray(STARTS), 4)
+
+
+def test_rows_have_the_minima_of_single_searches(four_lanes):
+    @jax.jit
+    def single(narrow, start):
+        found = least_squares(valley, narrow, start)
+        return found.x, found.cost, found.jacobian, found.aux, found.steps
+
+    each = jax.lax.map(lambda row: single(*row), (jnp.asarray(NARROW), jnp.asarray(STARTS)))
+    mine = four_lanes.x, four_lanes.cost, four_lanes.jacobian, four_lanes.aux, four_lanes.steps
+    for found, expected in zip(mine, each, strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+    assert len(set(np.asarray(four_lanes.steps).tolist())) > 3
+    assert (four_lanes.agreeing == 1).all()
+
+
+def test_a_row_does_not_depend_on_its_lane(four_lanes):
+    others = in_lanes(jnp.asarray(NARROW)[::-1], jnp.asarray(STARTS)[::-1], 4)
+    np.testing.assert_array_equal(others.x[::-1], four_lanes.x)
+    np.testing.assert_array_equal(others.steps[::-1], four_lanes.steps)
+    more = in_lanes(jnp.asarray(NARROW), jnp.asarray(STARTS), 16)
+    np.testing.assert_allclose(more.x, four_lanes.x, rtol=1e-9)
+
+
+def test_a_search_that_does_not_end_says_so(four_lanes):
+    most = int(np.median(four_lanes.steps))
+    few = in_lanes(jnp.asarray(NARROW), jnp.asarray(STARTS), 4, max_steps=most)
+    exhausted = np.asarray(few.result == optx.RESULTS.nonlinear_max_steps_reached)
+    np.testing.assert_array_equal(exhausted, np.asarray(four_lanes.steps) > most)
+    assert 0 < exhausted.sum() < len(NARROW)
+    np.testing.assert_array_equal(few.agreeing, ~exhausted)
+    np.testing.assert_array_equal(few.x[~exhausted], four_lanes.x[~exhausted])
