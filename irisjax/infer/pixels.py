@@ -32,7 +32,7 @@ from irisjax.numerics.chunks import map_rows
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 
-_ROWS, _BATCH = 64, 32  # pixels of a call, and of a search in step: more leave the core's cache
+_ROWS, _BATCH = 64, 16  # pixels of a call, and of a search in step: more leave the core's cache
 _BROYDEN_STEPS, _LONGEST = 5, 1.0  # from a spectrum of the table, and the longest in each of z
 _SEARCHED = 512  # pixels that are searched in a call
 # A search ends when z and the residuals, whose standard deviations are about one, move by less. Of
