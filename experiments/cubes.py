@@ -2,10 +2,10 @@
 SciPy's least squares.
 
 A cube of a grown iris (64 % of its pixels) is mapped by the process that simulated it, in a process
-of its own, without posteriors and with them; the peak of its memory is the system's count. A cube
-of sixteen times as many pixels, of which as many are fitted as of the smaller one's ring, shows
-that the memory does not grow. SciPy fits 50 of the pixels with the same forward model, the same
-priors and differences as derivatives.
+of its own; the peak of its memory is the system's count. (With posteriors: `cube_posteriors.py`.) A
+cube of sixteen times as many pixels, of which as many are fitted as of the smaller one's ring,
+shows that the memory does not grow. SciPy fits 50 of the pixels with the same forward model, the
+same priors and differences as derivatives.
 """
 
 import os
@@ -53,16 +53,6 @@ def main(key, quick=False, out=RESULTS):
                 (process, "peak memory", peak, "MiB"),
             ]
             covered += [(process, *row) for row in coverage(cube, maps)]
-            inferred = Path(temporary, f"posteriors-{process}")
-            flows = "--posterior", "--flows", Path(temporary, f"flows-{process}")
-            training, *_ = mapped(tiny, inferred, *flows)
-            seconds, cpu, peak = mapped(cube, inferred, *flows)
-            rows += [
-                (process, "posteriors of 16 by 16 (trains the flow): seconds", training, "s"),
-                (process, "posteriors: seconds", seconds, "s"),
-                (process, "posteriors: CPU seconds", cpu, "s"),
-                (process, "posteriors: peak memory", peak, "MiB"),
-            ]
             each, off = by_scipy(problem, spectra, maps, count)
             rows += [
                 (process, f"SciPy, {count} pixels: seconds a pixel", each, "s"),
@@ -76,14 +66,19 @@ def main(key, quick=False, out=RESULTS):
             (PROCESSES[0], f"{large} by {large}, as many fitted: seconds", seconds, "s"),
             (PROCESSES[0], f"{large} by {large}, as many fitted: peak memory", peak, "MiB"),
         ]
-    cores = len(os.sched_getaffinity(0))
-    head = (
-        f"{size} by {size} pixels, 31 bands, noise 1 % + 2e-4, {len(FREE)} parameters free, "
-        f"float64, {cores} cores",
-    )
+    head = (about(size),)
     write(out / "cubes.csv", head, ("process", "what", "value", "unit"), rows)
     columns = "process", "parameter", "within_2_sd", "mean_off_sd", "sd_off_sd", "relative_rms"
     write(out / "cubes_coverage.csv", head, columns, covered)
+
+
+def about(size):
+    """Return what a cube and its fits are, for the head of a file."""
+    cores = len(os.sched_getaffinity(0))
+    return (
+        f"{size} by {size} pixels, 31 bands, noise 1 % + 2e-4, {len(FREE)} parameters free, "
+        f"float64, {cores} cores"
+    )
 
 
 def simulate(folder, size, process, key):

@@ -30,6 +30,7 @@ SLOW = {
     "clone_search",
     "clone_thickness",
     "exact_against_montecarlo",
+    "cube_posteriors",
     "cubes",
     "eye_colours",
     "f09_findings",
