@@ -28,16 +28,16 @@ def fill_by_texture(
         box = np.ix_(rows % len(hidden), columns)
         border = morphology.dilation(region, np.ones((2 * _BORDER + 1,) * 2, bool)) & ~hidden[box]
         inside, edge = ((rows[r], columns[c]) for r, c in map(np.nonzero, (region, border)))
-        here = smooth[edge[0] % len(hidden), edge[1]]
+        at_border = smooth[edge[0] % len(hidden), edge[1]]
         # A place that is itself hidden is the last choice.
         unseen = [int(hidden[(inside[0] - t) % len(hidden), inside[1]].sum()) for t in turns]
 
-        def unlike(turn: int, here=here, edge=edge) -> float:
-            away = ((here - smooth[(edge[0] - turn) % len(hidden), edge[1]]) / scale) ** 2
-            return float(away.mean()) if len(here) else 0.0
+        def dissimilarity(turn: int, at_border=at_border, edge=edge) -> float:
+            turned = smooth[(edge[0] - turn) % len(hidden), edge[1]]
+            return float((((at_border - turned) / scale) ** 2).mean()) if len(at_border) else 0.0
 
         shown = [t for t, count in zip(turns, unseen, strict=True) if count == min(unseen)]
-        turn = min(shown, key=unlike)
+        turn = min(shown, key=dissimilarity)
         turned = smooth[np.ix_((rows - turn) % len(hidden), columns)]
         if not region.all():
             turned = turned + fill_holes(smooth[box] - turned, region)
@@ -50,17 +50,17 @@ def _regions(hidden: Bool[np.ndarray, "angles radii"]):
     angles, radii = hidden.shape
     # The ends of the angles meet: a region that crosses them is whole in two copies.
     label = np.asarray(measure.label(np.concatenate([hidden, hidden])))
-    taken = np.zeros_like(hidden)
+    done = np.zeros_like(hidden)
     regions = sorted(measure.regionprops(label), key=lambda r: -r.area)
     for region in regions:
-        at = region.coords
-        if taken[at[:, 0] % angles, at[:, 1]].any():
+        cells = region.coords
+        if done[cells[:, 0] % angles, cells[:, 1]].any():
             continue
-        taken[at[:, 0] % angles, at[:, 1]] = True
-        (top, left), (bottom, right) = at.min(0) - _BORDER, at.max(0) + _BORDER + 1
+        done[cells[:, 0] % angles, cells[:, 1]] = True
+        (top, left), (bottom, right) = cells.min(0) - _BORDER, cells.max(0) + _BORDER + 1
         rows = np.arange(top, min(bottom, top + angles))
         columns = np.arange(max(left, 0), min(right, radii))
-        whole = np.zeros((len(rows), len(columns)), bool)
-        inside = at[:, 0] - top < len(rows)
-        whole[at[inside, 0] - top, at[inside, 1] - columns[0]] = True
-        yield rows, columns, whole
+        mask = np.zeros((len(rows), len(columns)), bool)
+        inside = cells[:, 0] - top < len(rows)
+        mask[cells[inside, 0] - top, cells[inside, 1] - columns[0]] = True
+        yield rows, columns, mask

@@ -169,14 +169,14 @@ def parameter_values(z: Float[Array | np.ndarray, " free"]) -> dict[str, Any]:
 
 def predicted_colours(values: dict[str, Any], windows: Windows, base: Iris) -> Array:
     """Return the linear values of a photograph of the iris, (windows, 3)."""
-    return _taken(values, windows.radiance(iris_of_concentrations(values, base), values["room"]))
+    return _recorded(values, windows.radiance(iris_of_concentrations(values, base), values["room"]))
 
 
 def log_posterior(z: Float[Array, " free"], windows: Windows, base: Iris) -> Scalar:
     """Return the logarithm of the posterior density of z (free,), without constants."""
-    found = log_likelihood(*_off(parameter_values(z), windows, base), windows.present)
-    found -= 0.5 * (z**2).sum()
-    return jnp.where(jnp.isfinite(found), found, -jnp.inf)
+    density = log_likelihood(*_log_ratios(parameter_values(z), windows, base), windows.present)
+    density -= 0.5 * (z**2).sum()
+    return jnp.where(jnp.isfinite(density), density, -jnp.inf)
 
 
 def fit_pigments(windows: Windows, base: Iris) -> PigmentFit:
@@ -187,27 +187,27 @@ def fit_pigments(windows: Windows, base: Iris) -> PigmentFit:
     free = [i for i, n in enumerate(FREE_NAMES) if n != "room" or windows.room is not None]
     starts = np.zeros((len(_STARTS), len(free)))
     starts[:, : len(CONCENTRATIONS)] = _STARTS
-    made = jax.tree.map(np.asarray, _searched(starts, windows, base, tuple(free)))
-    (found, log_density), (taken, ended), covariance = made
+    results = jax.tree.map(np.asarray, _searches(starts, windows, base, tuple(free)))
+    (optima, log_density), (steps, converged), covariance = results
     best = int(np.nanargmax(log_density[:, -1]))
     z = np.zeros((len(starts), _TURNS, len(FREE_NAMES)))
-    z[..., free] = found
+    z[..., free] = optima
     spread = np.eye(len(FREE_NAMES))
     spread[np.ix_(free, free)] = covariance[best]
     log = []
-    for at in np.ndindex(len(starts), _TURNS):
-        row = {"start": at[0] + 1, "turn": at[1] + 1, "steps": taken[at]}
-        row |= {"log_density": log_density[at]}
-        log.append(_numbers(row | parameter_values(jnp.asarray(z[at]))))
-    steps, ended = int(np.sum(taken)), bool(ended[best, -1])
-    return _fit(z[best, -1], spread, windows, base, steps, ended, log)
+    for place in np.ndindex(len(starts), _TURNS):
+        row = {"start": place[0] + 1, "turn": place[1] + 1, "steps": steps[place]}
+        row |= {"log_density": log_density[place]}
+        log.append(_numbers(row | parameter_values(jnp.asarray(z[place]))))
+    total, ended = int(np.sum(steps)), bool(converged[best, -1])
+    return _fit(z[best, -1], spread, windows, base, total, ended, log)
 
 
 def exposures_for(fit: PigmentFit, windows: Windows, base: Iris) -> Float[np.ndarray, "3"]:
     """Return the exposures of the channels with which windows, of other maps than those of the fit,
     are on average as bright as the photograph's.
     """
-    return np.asarray(_compared(jnp.asarray(fit.z), windows, base)[1])
+    return np.asarray(_rms_and_exposures(jnp.asarray(fit.z), windows, base)[1])
 
 
 def doubt_of_exposures(fit: PigmentFit) -> Float[np.ndarray, "3 3"]:
@@ -268,18 +268,18 @@ def simplex(
     z = np.array([PRIORS[n].standard(rest[n]) if n in rest else 0.0 for n in FREE_NAMES])
     medians = [PRIORS[name].value(0.0) for name in ("abl_eumelanin", "stroma_eumelanin")]
     # Logarithms of the eumelanins, and of the ratios.
-    found = [jnp.log(jnp.asarray(v, float)) for v in (medians, [_PHEOMELANIN_PER_EUMELANIN] * 2)]
-    taken, ended = 0, True
+    logs = [jnp.log(jnp.asarray(v, float)) for v in (medians, [_PHEOMELANIN_PER_EUMELANIN] * 2)]
+    steps, converged = 0, True
     for stage in (0, 1):
-        parts = found[stage], found[1 - stage]
-        held = windows, base, {n: jnp.asarray(v) for n, v in rest.items()}
-        found[stage], count, result = _downhill(*parts, *held, stage == 0, max_steps)
-        taken, ended = taken + int(count), ended and bool(result)
-        values = _four(*found)
+        both = logs[stage], logs[1 - stage]
+        fixed = windows, base, {n: jnp.asarray(v) for n, v in rest.items()}
+        logs[stage], count, result = _simplex_stage(*both, *fixed, stage == 0, max_steps)
+        steps, converged = steps + int(count), converged and bool(result)
+        values = _concentrations(*logs)
         z[:4] = [PRIORS[name].standard(values[name]) for name in CONCENTRATIONS]
-        rms = _compared(jnp.asarray(z), windows, base)[0].mean()
+        rms = _rms_and_exposures(jnp.asarray(z), windows, base)[0].mean()
         log.append(_numbers(values | {"steps": count, "rms": rms}))
-    return _fit(z, np.eye(len(FREE_NAMES)), windows, base, taken, ended, log)
+    return _fit(z, np.eye(len(FREE_NAMES)), windows, base, steps, converged, log)
 
 
 def sample_pigments(
@@ -288,26 +288,26 @@ def sample_pigments(
     """Sample the posterior of concentrations, light and camera by `infer.sample`, from the best fit
     on; the base fixes everything but melanins and scattering.
     """
-    held = windows, base
+    model = windows, base
     middle, slope = map(np.asarray, _totals_and_slope(jnp.asarray(best.z)))
     covariance = slope @ best.covariance @ slope.T + 1e-9 * np.eye(len(best.z))
     with ThreadPoolExecutor(2) as pool:  # one program is too small for two cores
 
         def density(x: np.ndarray) -> np.ndarray:
-            return map_rows(partial(_density, held), np.asarray(x, np.float64), _ROWS, pool.map)
+            return map_rows(partial(_density, model), np.asarray(x, np.float64), _ROWS, pool.map)
 
         target: Any = SimpleNamespace(names=FREE_NAMES, log_density=density)
         start = Start(middle, covariance)
         chains = posterior.sample(target, start, walkers=WALKERS, max_steps=max_steps, key=key)
-    x = chains.flat
-    drawn = map_rows(_drawn, np.asarray(x, np.float64), 4096)
-    z = drawn.pop("z")
+    points = chains.flat
+    values = map_rows(_values_of_chain, np.asarray(points, np.float64), 4096)
+    z = values.pop("z")
     estimates = {}
     for i, name in enumerate(FREE_NAMES):
-        low, median, high = (float(v) for v in np.quantile(drawn[name], [0.025, 0.5, 0.975]))
-        sd, contraction = float(drawn[name].std()), float(1 - z[:, i].var())
+        low, median, high = (float(v) for v in np.quantile(values[name], [0.025, 0.5, 0.975]))
+        sd, contraction = float(values[name].std()), float(1 - z[:, i].var())
         estimates[name] = Estimate(median, sd, low, high, contraction)
-    return PigmentPosterior({name: drawn[name] for name in FREE_NAMES}, estimates, z, chains)
+    return PigmentPosterior({name: values[name] for name in FREE_NAMES}, estimates, z, chains)
 
 
 def iris_of_concentrations(values: dict[str, Any], base: Iris) -> Iris:
@@ -316,7 +316,7 @@ def iris_of_concentrations(values: dict[str, Any], base: Iris) -> Iris:
     return base.with_layers(values).replace(scattering_scale=scale)
 
 
-def log_likelihood(off: WindowColours, response: WindowColours, present: _Present) -> Scalar:
+def log_likelihood(log_ratios: WindowColours, response: WindowColours, present: _Present) -> Scalar:
     """Return the logarithm of the density of errors, without constants.
 
     That of the rings' means is a mixture of normal densities over `SPREAD_FACTORS`. That of windows
@@ -328,38 +328,40 @@ def log_likelihood(off: WindowColours, response: WindowColours, present: _Presen
         response: Derivatives of the model's by that of thickness; their means in rings count.
         present: Windows that count.
     """
-    within, free, _, densities = _levels(off, response, present)
+    within, free, _, densities = _error_levels(log_ratios, response, present)
     return jax.nn.logsumexp(densities) - 0.5 * (free * jnp.linalg.slogdet(within)[1]).sum()
 
 
 def whitened_errors(
-    off: WindowColours, present: _Present, held: _Covariances
+    log_ratios: WindowColours, present: _Present, fixed: _Covariances
 ) -> Float[Array, " values"]:
     """Return errors as numbers of unit variance, under fixed covariances."""
-    _, means, apart = _in_rings(off, present)
-    within, between = (jnp.linalg.cholesky(c) for c in held)
-    rows = jax.scipy.linalg.solve_triangular(within, apart.mT, lower=True)
+    _, means, differences = _in_rings(log_ratios, present)
+    within, between = (jnp.linalg.cholesky(c) for c in fixed)
+    rows = jax.scipy.linalg.solve_triangular(within, differences.mT, lower=True)
     row = jax.scipy.linalg.solve_triangular(between, means.ravel(), lower=True)
     return jnp.concatenate([rows.ravel(), row])
 
 
-def covariances(off: WindowColours, response: WindowColours, present: _Present) -> _Covariances:
+def covariances(
+    log_ratios: WindowColours, response: WindowColours, present: _Present
+) -> _Covariances:
     """Return the most likely covariance of a window's channels about its ring's mean, and that of
     the rings' means weighted by the probability of each factor.
 
     With it a step of least squares is one of expectation and maximisation over `SPREAD_FACTORS`.
     """
-    within, _, between, densities = _levels(off, response, present)
+    within, _, between, densities = _error_levels(log_ratios, response, present)
     share = jax.nn.softmax(densities)
     inverse = (share[:, None, None] * jnp.linalg.inv(between)).sum(0)
     return within, jnp.linalg.inv(0.5 * (inverse + inverse.T))
 
 
-def _taken(values, radiance):
+def _recorded(values, radiance):
     """Values that the camera records for radiances."""
     # Negative values, out of sRGB's range, have no power: the curve continues in a straight line.
-    held = jnp.maximum(radiance, 1e-4)
-    return _exposures(values) * (held ** values["contrast"] + (radiance - held))
+    positive = jnp.maximum(radiance, 1e-4)
+    return _exposures(values) * (positive ** values["contrast"] + (radiance - positive))
 
 
 def _exposures(values):
@@ -368,7 +370,7 @@ def _exposures(values):
     return values["exposure"] * jnp.stack([red, jnp.ones_like(red), blue])
 
 
-def _off(values, windows: Windows, base: Iris):
+def _log_ratios(values, windows: Windows, base: Iris):
     """Logarithms of photograph over model, (windows, 3), and the derivatives of the model's by that
     of the stroma's thickness.
 
@@ -376,72 +378,74 @@ def _off(values, windows: Windows, base: Iris):
     everywhere, which a common factor would explain.
     """
     floor = _FLOOR * windows.colour.mean(where=windows.present[:, None])
-    seen = jnp.maximum(windows.colour, 0) + floor
-    least = 0.1 * floor
+    recorded = jnp.maximum(windows.colour, 0) + floor
+    lowest = 0.1 * floor
 
-    def of(radiance):
+    def log_ratios_of(radiance):
         # A channel out of sRGB's range may be negative; the logarithm keeps a slope there.
-        shown = _taken(values, radiance) + floor
-        low = least * jnp.exp(jnp.minimum(shown / least - 1, 0.0))
-        off = jnp.log(seen / jnp.where(shown > least, shown, low))
-        return jnp.where(windows.present[:, None], off, 0.0)
+        modelled = _recorded(values, radiance) + floor
+        bent = lowest * jnp.exp(jnp.minimum(modelled / lowest - 1, 0.0))
+        log_ratios = jnp.log(recorded / jnp.where(modelled > lowest, modelled, bent))
+        return jnp.where(windows.present[:, None], log_ratios, 0.0)
 
     iris = iris_of_concentrations(values, base)
     radiance, slope = windows.radiance_and_slope(iris, values["room"])
-    off, change = jax.jvp(of, (radiance,), (slope,))
-    return off, -change
+    log_ratios, slope_of_ratios = jax.jvp(log_ratios_of, (radiance,), (slope,))
+    return log_ratios, -slope_of_ratios
 
 
 @eqx.filter_jit
-def _searched(starts, windows, base, free: tuple[int, ...]):
-    def every(some):
-        return jnp.zeros(len(FREE_NAMES)).at[jnp.asarray(free)].set(some)
+def _searches(starts, windows, base, free: tuple[int, ...]):
+    def all_of(moving):
+        return jnp.zeros(len(FREE_NAMES)).at[jnp.asarray(free)].set(moving)
 
-    def residuals(some, weight, held):
+    def residuals(moving, weight, fixed):
         del weight  # the priors count in full
-        off, _ = _off(parameter_values(every(some)), windows, base)
-        return jnp.concatenate([whitened_errors(off, windows.present, held), some]), None
+        log_ratios, _ = _log_ratios(parameter_values(all_of(moving)), windows, base)
+        return jnp.concatenate([whitened_errors(log_ratios, windows.present, fixed), moving]), None
 
-    def turn(some, _):
-        held = covariances(*_off(parameter_values(every(some)), windows, base), windows.present)
+    def turn(moving, _):
+        fixed = covariances(
+            *_log_ratios(parameter_values(all_of(moving)), windows, base), windows.present
+        )
         solver = levenberg_marquardt(_CLOSE, _CLOSE)
-        found = least_squares(residuals, held, some, solver=solver, max_steps=_STEPS[0])
-        ended = found.result == optx.RESULTS.successful
-        density = log_posterior(every(found.x), windows, base)
-        return found.x, ((found.x, density), (found.steps, ended), held)
+        minimum = least_squares(residuals, fixed, moving, solver=solver, max_steps=_STEPS[0])
+        converged = minimum.result == optx.RESULTS.successful
+        density = log_posterior(all_of(minimum.x), windows, base)
+        return minimum.x, ((minimum.x, density), (minimum.steps, converged), fixed)
 
-    def one(start):
-        found, (reached, counted, held) = jax.lax.scan(turn, start, None, _TURNS)
-        last = jax.tree.map(lambda c: c[-1], held)
-        jacobian = jax.jacfwd(lambda x: residuals(x, 1.0, last)[0])(found)
-        return reached, counted, jnp.linalg.inv(jacobian.T @ jacobian)
+    def search(start):
+        optimum, (turns, counts, fixed) = jax.lax.scan(turn, start, None, _TURNS)
+        last = jax.tree.map(lambda c: c[-1], fixed)
+        jacobian = jax.jacfwd(lambda x: residuals(x, 1.0, last)[0])(optimum)
+        return turns, counts, jnp.linalg.inv(jacobian.T @ jacobian)
 
-    return jax.lax.map(one, starts)
+    return jax.lax.map(search, starts)
 
 
-def _four(eumelanin, ratios):
+def _concentrations(eumelanin, ratios):
     abl, stroma = jnp.exp(eumelanin)
     first, second = jnp.exp(ratios)
     return dict(zip(CONCENTRATIONS, (abl, first * abl, stroma, second * stroma), strict=True))
 
 
 @eqx.filter_jit
-def _downhill(start, held, windows, base, rest, eumelanin: bool, max_steps: int):
+def _simplex_stage(start, others, windows, base, rest, eumelanin: bool, max_steps: int):
     def cost(x, _):
-        four = _four(x, held) if eumelanin else _four(held, x)
-        off, _ = _off({**four, **rest}, windows, base)
-        return (off**2).mean(where=windows.present[:, None])
+        concentrations = _concentrations(x, others) if eumelanin else _concentrations(others, x)
+        log_ratios, _ = _log_ratios({**concentrations, **rest}, windows, base)
+        return (log_ratios**2).mean(where=windows.present[:, None])
 
-    found = optx.minimise(
+    solution = optx.minimise(
         cost, optx.NelderMead(1e-4, 1e-6), start, max_steps=max_steps, throw=False
     )
-    return found.value, found.stats["num_steps"], found.result == optx.RESULTS.successful
+    return solution.value, solution.stats["num_steps"], solution.result == optx.RESULTS.successful
 
 
-def _fit(z, covariance, windows, base, steps: int, ended: bool, log) -> PigmentFit:
+def _fit(z, covariance, windows, base, steps: int, converged: bool, log) -> PigmentFit:
     values = _numbers(parameter_values(jnp.asarray(z)))
-    rms = np.asarray(_compared(jnp.asarray(z), windows, base)[0])
-    return PigmentFit(values, z, covariance, rms, steps, ended, tuple(log))
+    rms = np.asarray(_rms_and_exposures(jnp.asarray(z), windows, base)[0])
+    return PigmentFit(values, z, covariance, rms, steps, converged, tuple(log))
 
 
 def _numbers(row: dict[str, Any]) -> dict[str, float]:
@@ -449,44 +453,47 @@ def _numbers(row: dict[str, Any]) -> dict[str, float]:
 
 
 @eqx.filter_jit
-def _compared(z, windows, base):
+def _rms_and_exposures(z, windows, base):
     """Relative differences per channel, and the exposures that make up for their means: within
     `_BALANCE` of their mean by brightness, for a channel that is dark in a saturated iris says
     nothing of its exposure.
     """
     values, present = parameter_values(z), windows.present[:, None]
-    off, _ = _off(values, windows, base)
-    bright = jnp.maximum(windows.colour.mean(0, where=present), 0.0)
-    factors = off.mean(0, where=present)
-    common = (factors * bright).sum() / bright.sum()
+    log_ratios, _ = _log_ratios(values, windows, base)
+    brightness = jnp.maximum(windows.colour.mean(0, where=present), 0.0)
+    factors = log_ratios.mean(0, where=present)
+    common = (factors * brightness).sum() / brightness.sum()
     factors = jnp.clip(factors, common - _BALANCE, common + _BALANCE)
     exposures = _exposures(values) * jnp.exp(factors)
-    return jnp.sqrt((off**2).mean(0, where=present)), exposures
+    return jnp.sqrt((log_ratios**2).mean(0, where=present)), exposures
 
 
-def _levels(off, response, present):
+def _error_levels(log_ratios, response, present):
     """The most likely covariance within rings, the windows that count for each, and the covariances
     of their means for each factor with the logarithms of their densities.
     """
-    number, means, apart = _in_rings(off, present)
+    number, means, differences = _in_rings(log_ratios, present)
     along = _in_rings(response, present)[1]
     scatter = PRIOR_WINDOWS * jnp.asarray(PRIOR_COVARIANCE)
-    scatter = scatter + jnp.einsum("rni,rnj->rij", apart, apart)
+    scatter = scatter + jnp.einsum("rni,rnj->rij", differences, differences)
     free = PRIOR_WINDOWS + jnp.maximum(number - 1, 0)
     within = scatter / free[:, None, None]
 
-    def of(level: Spreads):
+    def covariance_of(level: Spreads):
         squares = level.thickness**2 * along[:, None, :, None] * along[None, :, None, :]
         return squares + level.light**2 + level.channel**2 * jnp.eye(3)
 
-    every = jnp.arange(RINGS)
-    alone = within / jnp.maximum(number, 1)[:, None, None]
-    alone = jnp.asarray(SPREAD_FACTORS**2)[:, None, None, None] * of(RING)[every, every] + alone
-    seen = (number > 0)[:, None, None]
-    between = of(WHOLE) * (seen[:, None] & seen[None])
+    rings = jnp.arange(RINGS)
+    own = within / jnp.maximum(number, 1)[:, None, None]
+    own = (
+        jnp.asarray(SPREAD_FACTORS**2)[:, None, None, None] * covariance_of(RING)[rings, rings]
+        + own
+    )
+    has_windows = (number > 0)[:, None, None]
+    between = covariance_of(WHOLE) * (has_windows[:, None] & has_windows[None])
     between = jnp.broadcast_to(between, (len(SPREAD_FACTORS), *between.shape))
     # Rings without windows are independent with a variance of 1.
-    between = between.at[:, every, every].add(jnp.where(seen, alone, jnp.eye(3)))
+    between = between.at[:, rings, rings].add(jnp.where(has_windows, own, jnp.eye(3)))
     between = between.transpose(0, 1, 3, 2, 4).reshape(-1, 3 * RINGS, 3 * RINGS)
     factor = jnp.linalg.cholesky(between)
     row = jnp.broadcast_to(means.ravel(), factor.shape[:-1])[..., None]
@@ -497,11 +504,11 @@ def _levels(off, response, present):
 
 def _in_rings(values, present):
     """Number of windows of each ring, their mean values, and the differences from it."""
-    count = jnp.asarray(present).reshape(RINGS, ANGLES, 1)
+    counted = jnp.asarray(present).reshape(RINGS, ANGLES, 1)
     by_ring = values.reshape(RINGS, ANGLES, 3)
-    number = count.sum(1)[:, 0]
-    means = jnp.where(count, by_ring, 0).sum(1) / jnp.maximum(number, 1)[:, None]
-    return number, means, jnp.where(count, by_ring - means[:, None], 0)
+    number = counted.sum(1)[:, 0]
+    means = jnp.where(counted, by_ring, 0).sum(1) / jnp.maximum(number, 1)[:, None]
+    return number, means, jnp.where(counted, by_ring - means[:, None], 0)
 
 
 @eqx.filter_jit
@@ -515,14 +522,14 @@ def _totals_and_slope(z):
 
 
 @eqx.filter_jit
-def _drawn(x):
+def _values_of_chain(x):
     z = jax.vmap(_parts)(x)
     return {"z": z, **jax.vmap(parameter_values)(z)}
 
 
 @eqx.filter_jit
-def _density(held, x):
-    windows, base = held
+def _density(model, x):
+    windows, base = model
     return jax.vmap(lambda row: log_posterior(_parts(row), windows, base))(x)
 
 

@@ -82,17 +82,18 @@ def lay_on_first(
     Raises:
         ValueError: If the second photograph shows another eye.
     """
-    found = register_photographs(second, first, limbus, find_boundaries(second).limbus)
-    off = found.residual / limbus.semi_axes[0]
-    if not off < MOST_OFF:
+    registration = register_photographs(second, first, limbus, find_boundaries(second).limbus)
+    apart = registration.residual / limbus.semi_axes[0]
+    if not apart < MOST_OFF:
         raise ValueError(
             f"{second.name}: its iris does not come to lie on the one of {first.name}: they are "
-            f"off by {100 * off:.1f} % of the limbus's radius, {100 * MOST_OFF:g} % is the most"
+            f"off by {100 * apart:.1f} % of the limbus's radius, {100 * MOST_OFF:g} % is the most"
         )
-    laid = Photograph(found.pixels.astype(np.float32), ~found.valid, second.grey)
-    part = cut_part(laid, limbus)
+    pixels = registration.pixels.astype(np.float32)
+    registered = Photograph(pixels, ~registration.valid, second.grey)
+    part = cut_part(registered, limbus)
     clear, _ = part.clear(part.moved(pupil))
-    return SecondPhotograph(found, part.pixels[cut], clear[cut])
+    return SecondPhotograph(registration, part.pixels[cut], clear[cut])
 
 
 def register_photographs(
@@ -109,14 +110,14 @@ def register_photographs(
         ValueError: If a limbus has its centre outside its photograph or a radius below 20 pixels.
     """
     one, other = _texture(first, first_limbus), _texture(second, second_limbus)
-    turn, scale = _turn(one, other), other.limbus.mean_radius / one.limbus.mean_radius
-    cos, sin = scale * np.cos(turn), scale * np.sin(turn)
+    rotation, scale = _rotation(one, other), other.limbus.mean_radius / one.limbus.mean_radius
+    cos, sin = scale * np.cos(rotation), scale * np.sin(rotation)
     # About the limbus, so that all six numbers have one magnitude.
-    middle, centre = other.limbus.centre, np.array(one.limbus.centre)
-    affine = np.array([[cos, sin, middle[0]], [-sin, cos, middle[1]]])
-    points = _points(one, first.name)
+    other_centre, centre = other.limbus.centre, np.array(one.limbus.centre)
+    affine = np.array([[cos, sin, other_centre[0]], [-sin, cos, other_centre[1]]])
+    points = _points_of_annulus(one, first.name)
     for blur in _SCALES:
-        affine = _refined(affine, one, other, points, max(blur * one.limbus.mean_radius, 1.0))
+        affine = _refine(affine, one, other, points, max(blur * one.limbus.mean_radius, 1.0))
     reduced = np.column_stack([affine[:, :2], affine[:, 2] - affine[:, :2] @ centre])
     residual, correlation = _disagreement(one, other, reduced)
     # Whole numbers are the middles of pixels, reduced ones too.
@@ -124,7 +125,7 @@ def register_photographs(
     offset = matrix @ np.full(2, (1 - one.reduction) / 2)
     offset += other.reduction * (reduced[:, 2] + 0.5) - 0.5
     transform = np.column_stack([matrix, offset])
-    pixels, valid = _resampled(second, transform, first.shape)
+    pixels, valid = _resample(second, transform, first.shape)
     return Registration(pixels, valid, transform, residual * one.reduction, correlation)
 
 
@@ -153,16 +154,17 @@ def _texture(photograph: Photograph, limbus: Ellipse) -> _Texture:
             f"{photograph.name}: the limbus has a radius of {min(limbus.semi_axes):.1f} pixels; "
             f"photographs are registered by irides of at least {_LEAST_RADIUS:.0f}"
         )
-    fine = max(1, round(limbus.mean_radius / _WORKING))
-    limbus = limbus.scaled(1 / fine)
+    reduction = max(1, round(limbus.mean_radius / _WORKING))
+    limbus = limbus.scaled(1 / reduction)
     radius = limbus.mean_radius
     luminance = photograph.pixels @ LUMINANCE_WEIGHTS
-    cut = photograph.saturated
-    if fine > 1:
-        rows, columns = (n // fine * fine for n in photograph.shape)
-        luminance = downscale_local_mean(luminance[:rows, :columns], (fine, fine))
-        cut = downscale_local_mean(cut[:rows, :columns].astype(np.float32), (fine, fine)) > 0
-    usable = np.logical_not(binary_dilation(cut, iterations=max(2, round(0.01 * radius))))
+    saturated = photograph.saturated
+    if reduction > 1:
+        rows, columns = (n // reduction * reduction for n in photograph.shape)
+        size, share = (reduction, reduction), saturated[:rows, :columns].astype(np.float32)
+        luminance = downscale_local_mean(luminance[:rows, :columns], size)
+        saturated = downscale_local_mean(share, size) > 0
+    usable = np.logical_not(binary_dilation(saturated, iterations=max(2, round(0.01 * radius))))
     inside = limbus.mask(usable.shape) & usable
     dark = max(1e-6, 0.05 * float(np.median(luminance[inside]))) if inside.any() else 1e-6
     # Logarithms turn light that falls off across the iris into an additive term.
@@ -172,10 +174,10 @@ def _texture(photograph: Photograph, limbus: Ellipse) -> _Texture:
     share = np.maximum(blur(weight), 1e-6)
     values = np.where(usable, values - blur(weight * values) / share, 0)
     spread = np.sqrt(np.maximum(blur(values**2) / share, 1e-8))
-    return _Texture(np.clip(values / spread, -3, 3), usable, limbus, fine)
+    return _Texture(np.clip(values / spread, -3, 3), usable, limbus, reduction)
 
 
-def _turn(one: _Texture, other: _Texture) -> float:
+def _rotation(one: _Texture, other: _Texture) -> float:
     """Radians by which the second shows the eye turned, from right towards the top."""
     unrolled = []
     for texture in (one, other):
@@ -189,7 +191,7 @@ def _turn(one: _Texture, other: _Texture) -> float:
     return float(-shift[1] * 2 * np.pi / _POLAR[1])
 
 
-def _points(one: _Texture, name: str) -> np.ndarray:
+def _points_of_annulus(one: _Texture, name: str) -> np.ndarray:
     """Pixels of the annulus, (n, 2), evenly thinned out."""
     share = one.limbus.radii(one.usable.shape)
     rows, columns = np.nonzero((share > _ANNULUS[0]) & (share < _ANNULUS[1]) & one.usable)
@@ -199,7 +201,7 @@ def _points(one: _Texture, name: str) -> np.ndarray:
     return np.stack([columns[chosen], rows[chosen]], -1).astype(np.float64)
 
 
-def _refined(affine, one: _Texture, other: _Texture, points, blur: float) -> np.ndarray:
+def _refine(affine, one: _Texture, other: _Texture, points, blur: float) -> np.ndarray:
     """The affine map (2, 3) about the limbus after robust least squares at one scale."""
     target = gaussian_filter(one.values, blur)[points[:, 1].astype(int), points[:, 0].astype(int)]
     image = gaussian_filter(other.values, blur * _scale(affine))
@@ -207,42 +209,42 @@ def _refined(affine, one: _Texture, other: _Texture, points, blur: float) -> np.
     image, slopes = image / target.std(), [s / target.std() for s in slopes]
     target = target / target.std()
     radius = one.limbus.mean_radius
-    about = np.column_stack([(points - one.limbus.centre) / radius, np.ones(len(points))])
+    coordinates = np.column_stack([(points - one.limbus.centre) / radius, np.ones(len(points))])
     sizes = np.array([radius, radius, 1.0])
 
-    def there(picture, parameters):
-        return sampled(picture, *(parameters.reshape(2, 3) @ about.T)[::-1])
+    def sample_second(picture, parameters):
+        return sampled(picture, *(parameters.reshape(2, 3) @ coordinates.T)[::-1])
 
     start = (affine * sizes).ravel()
-    keep = there(other.usable.astype(np.float32), start) > 0.99
+    keep = sample_second(other.usable.astype(np.float32), start) > 0.99
     if keep.sum() < 100:
         return affine
 
     def residuals(parameters: np.ndarray) -> np.ndarray:
-        return np.where(keep, there(image, parameters) - target, 0)
+        return np.where(keep, sample_second(image, parameters) - target, 0)
 
     def jacobian(parameters: np.ndarray) -> np.ndarray:
-        along, down = (there(s, parameters)[:, None] for s in slopes)
-        return keep[:, None] * np.concatenate([along * about, down * about], 1)
+        along, down = (sample_second(s, parameters)[:, None] for s in slopes)
+        return keep[:, None] * np.concatenate([along * coordinates, down * coordinates], 1)
 
     solve: Any = optimize.least_squares  # its annotations know no function for the Jacobian
     settings = {"loss": "cauchy", "f_scale": _OUTLYING, "max_nfev": _STEPS, "xtol": _STILL}
     parameters = solve(residuals, start, jacobian, **settings).x
-    found = parameters.reshape(2, 3) / sizes
-    change = np.linalg.det(found[:, :2]) / np.linalg.det(affine[:, :2])
-    return found if 0.7 < change < 1.4 else affine  # textures that have nothing in common
+    refined = parameters.reshape(2, 3) / sizes
+    change = np.linalg.det(refined[:, :2]) / np.linalg.det(affine[:, :2])
+    return refined if 0.7 < change < 1.4 else affine  # textures that have nothing in common
 
 
-def _resampled(second: Photograph, transform: np.ndarray, shape: tuple[int, int]):
+def _resample(second: Photograph, transform: np.ndarray, shape: tuple[int, int]):
     # Pixels of the second that are finer are averaged, as in skimage.transform.resize.
     blur = max(0.0, (_scale(transform) - 1) / 2)
-    there = AffineTransform(np.vstack([transform, [0, 0, 1]]))
-    brought = partial(warp, inverse_map=there, output_shape=shape, order=1, preserve_range=True)
+    inverse = AffineTransform(np.vstack([transform, [0, 0, 1]]))
+    resample = partial(warp, inverse_map=inverse, output_shape=shape, order=1, preserve_range=True)
     channels = np.moveaxis(second.pixels, -1, 0)
-    pixels = [brought(gaussian_filter(c, blur) if blur else c) for c in channels]
-    cut = binary_dilation(second.saturated, iterations=max(1, round(2 * blur)))
+    pixels = [resample(gaussian_filter(c, blur) if blur else c) for c in channels]
+    saturated = binary_dilation(second.saturated, iterations=max(1, round(2 * blur)))
     # Beyond the second all is cut off.
-    valid = brought(cut.astype(np.float32), cval=1.0) <= 1e-4
+    valid = resample(saturated.astype(np.float32), cval=1.0) <= 1e-4
     return np.stack(pixels, -1).astype(np.float32), valid
 
 
@@ -251,20 +253,20 @@ def _disagreement(one: _Texture, other: _Texture, transform: np.ndarray) -> tupl
     (x, y), (a, _), _ = one.limbus
     step = max(1.0, a / 200)
     column, row = np.meshgrid(np.arange(x - a, x + a, step), np.arange(y - a, y + a, step))
-    there = np.tensordot(transform, np.stack([column, row, np.ones_like(row)]), 1)
+    in_second = np.tensordot(transform, np.stack([column, row, np.ones_like(row)]), 1)
     blur = max(a / 150, step)
     pictures, usable = [], []
-    for texture, at, size in ((one, (column, row), 1), (other, there, _scale(transform))):
+    for texture, place, size in ((one, (column, row), 1), (other, in_second, _scale(transform))):
         values = gaussian_filter(texture.values, blur * size)
-        pictures.append(sampled(values, *at[::-1]).astype(np.float32))
+        pictures.append(sampled(values, *place[::-1]).astype(np.float32))
         known = texture.usable.astype(np.float32)
-        usable.append(map_coordinates(known, at[::-1], order=1, cval=0.0) > 0.99)
+        usable.append(map_coordinates(known, place[::-1], order=1, cval=0.0) > 0.99)
     share = one.limbus.relative_radius(column, row)
     inside = usable[0] & usable[1] & (share > _ANNULUS[0]) & (share < _ANNULUS[1])
     if inside.sum() < 100:
         return float("inf"), 0.0
     correlation = float(np.corrcoef(*(p[inside] for p in pictures))[0, 1])
     flow = optical_flow_ilk(*pictures, radius=9, num_warp=5)
-    left = np.hypot(*flow)[inside] * step
-    best = np.sort(left)[: max(1, len(left) // 2)]
-    return float(np.sqrt((best**2).mean())), correlation
+    remaining = np.hypot(*flow)[inside] * step
+    smallest = np.sort(remaining)[: max(1, len(remaining) // 2)]
+    return float(np.sqrt((smallest**2).mean())), correlation

@@ -186,32 +186,32 @@ def colour_iris(
     assert seen is not None
     front = IrisModel(scene.eye, iris, IrisMaps())
     _, exits = integrator.texels(seen, front, Scales())
-    shone = integrator.illuminate(seen, scene.all_lights(), front, tables, None)
-    light, mixtures = shone
+    illumination = integrator.illuminate(seen, scene.all_lights(), front, tables, None)
+    light, mixtures = illumination
     light = light if exits is None else light * exits
-    flat = np.moveaxis(np.asarray(light), -1, 0).reshape(light.shape[-1], -1)
+    by_pixel = np.moveaxis(np.asarray(light), -1, 0).reshape(light.shape[-1], -1)
 
     # Ranges of the number types that those of the maps will have, so that one program serves both.
     small = jnp.ones((2, 2), jnp.float32)
     alike = scale_ranges(iris, IrisMaps(stroma_depth=small, eumelanin=small, pheomelanin=small))
 
     def respond(ranges: Scales, scene: Scene = scene) -> TexelResponse:
-        ranges = jax.tree.map(lambda r, of: jnp.asarray(r, of.dtype), ranges, alike)
-        made: Any = picture.respond(scene, ranges)
-        terms = made.coefficients
+        ranges = jax.tree.map(lambda r, like: jnp.asarray(r, like.dtype), ranges, alike)
+        response: Any = picture.respond(scene, ranges)
+        terms = response.coefficients
         terms = terms if mixtures is None else jnp.einsum("pkc,kr->prc", terms, mixtures)
-        return TexelResponse(terms, ranges, made.degrees, float(made.error), made)
+        return TexelResponse(terms, ranges, response.degrees, float(response.error), response)
 
-    functions = scatter_to_picture(seen, flat, shape)
+    functions = scatter_to_picture(seen, by_pixel, shape)
     logs = np.stack([usual, 0 * usual, 0 * usual], -1)
     target, functions, logs = (np.asarray(x, np.float32) for x in (target, functions, logs))
     levels = [Seen(target, functions, logs, known)]
     for _ in _STEPS[1:]:
         levels.append(_halved(levels[-1]))
-    gain, coarse = find_gain(levels[-1], respond(FACTORS), exposure)
-    response = respond(ranges_about(coarse, levels[-1].known))
-    found = solve_levels(levels, response, exposure, gain, doubt)
-    middle = np.median(found.logs[known], axis=0)
+    gain, coarsest = find_gain(levels[-1], respond(FACTORS), exposure)
+    response = respond(ranges_about(coarsest, levels[-1].known))
+    local = solve_levels(levels, response, exposure, gain, doubt)
+    middle = np.median(local.logs[known], axis=0)
     iris = moved_iris(iris, np.exp(middle))
 
     # Cells about as fine as the photograph's pixels, of few sizes, so that programs are shared.
@@ -223,8 +223,8 @@ def colour_iris(
     )
     cells = cells_of((angles, radii))
 
-    def polar(values: Float[np.ndarray, "rows columns channels"], of: Mask) -> np.ndarray:
-        filled = np.moveaxis(fill_holes(values, ~of), -1, 0)
+    def polar(values: Float[np.ndarray, "rows columns channels"], where: Mask) -> np.ndarray:
+        filled = np.moveaxis(fill_holes(values, ~where), -1, 0)
         return np.stack([sampled(c, cells.row, cells.column) for c in filled])
 
     hidden = sampled(shown.astype(np.float32), cells.row, cells.column) * cells.visible < 0.5
@@ -237,38 +237,38 @@ def colour_iris(
         return IrisMaps(stroma_depth=stroma * iris.stroma_thickness, **held)
 
     # Last of all with the very table of the picture: its errors count where the iris is dark.
-    logs = polar(found.logs - middle, known)
+    logs = polar(local.logs - middle, known)
     ends = [f(logs, axis=(1, 2), keepdims=True) for f in (np.min, np.max)]
     ranges = scale_ranges(iris, maps_of(logs))
     response = respond(ranges, scene.replace(iris=iris))
-    found = polish(levels[0], found.logs - middle, response, exposure, gain, doubt)
-    logs = np.clip(polar(found.logs, known), *ends)
-    off, wanted = found.off[known], (np.maximum(target * exposure, 0) + _DARK)[known] ** _POWER
-    explained = 1 - (off**2).sum() / ((wanted - wanted.mean(0)) ** 2).sum()
+    local = polish(levels[0], local.logs - middle, response, exposure, gain, doubt)
+    logs = np.clip(polar(local.logs, known), *ends)
+    off, encoded = local.off[known], (np.maximum(target * exposure, 0) + _DARK)[known] ** _POWER
+    explained = 1 - (off**2).sum() / ((encoded - encoded.mean(0)) ** 2).sum()
 
     # What the maps themselves leave, after all interpolation.
     parts = integrator.texels(seen, front._replace(iris=iris, maps=maps_of(logs)), ranges)
-    drawn = picture.within_gamut(response.made.shade(seen, parts, shone))
+    drawn = picture.within_gamut(response.made.shade(seen, parts, illumination))
     drawn = np.maximum(scatter_to_picture(seen, np.asarray(drawn).T, shape), 1e-9)
     ratio = np.where(shown[..., None], target / gain / drawn, 1.0).astype(np.float32)
     residual = polar(np.log(np.clip(ratio, KEPT.low, KEPT.high)), shown)
-    both = fill_by_texture(np.concatenate([logs, residual]), hidden)
-    maps = maps_of(np.clip(both[: len(NAMES)], *ends), both[len(NAMES) :])
-    variances = np.einsum("...ii->...i", found.covariance)
-    sizes = np.sqrt(np.maximum(variances, 1e-12))
-    correlation = found.covariance / (sizes[..., None] * sizes[..., None, :])
+    filled = fill_by_texture(np.concatenate([logs, residual]), hidden)
+    maps = maps_of(np.clip(filled[: len(NAMES)], *ends), filled[len(NAMES) :])
+    variances = np.einsum("...ii->...i", local.covariance)
+    sds = np.sqrt(np.maximum(variances, 1e-12))
+    correlation = local.covariance / (sds[..., None] * sds[..., None, :])
     return OwnPigments(
         iris,
         maps,
-        polar(sizes, known),
-        np.sqrt(np.median(found.common[known], axis=0)),
+        polar(sds, known),
+        np.sqrt(np.median(local.common[known], axis=0)),
         np.median(correlation[known], axis=0),
         hidden,
         float((np.abs(off).max(-1) > OUTSIDE).mean()),
         float(explained),
         gain,
         response.error,
-        shone,
+        illumination,
     )
 
 
@@ -304,15 +304,15 @@ def find_gain(
     Returns:
         The factor, and the numbers of the pixels.
     """
-    tried, errors = {}, {}
+    solutions, errors = {}, {}
     for gain in GAINS:
-        tried[gain] = _coarsest(coarsest, response, exposure, gain)
-        off = tried[gain].off[coarsest.known]
-        errors[gain] = np.sqrt((off**2).mean())
-        if (np.abs(off).max(-1) > OUTSIDE).mean() <= _ENOUGH:
-            return gain, tried[gain]
+        solutions[gain] = _coarsest(coarsest, response, exposure, gain)
+        differences = solutions[gain].off[coarsest.known]
+        errors[gain] = np.sqrt((differences**2).mean())
+        if (np.abs(differences).max(-1) > OUTSIDE).mean() <= _ENOUGH:
+            return gain, solutions[gain]
     gain = next(g for g in GAINS if errors[g] <= 1.1 * min(errors.values()))
-    return gain, tried[gain]
+    return gain, solutions[gain]
 
 
 def solve_levels(
@@ -325,10 +325,10 @@ def solve_levels(
     """Solve all levels, the coarsest first, each near the numbers of the coarser one. Edges stay: a
     photograph outweighs a prior of this width wherever it shows them.
     """
-    found = _coarsest(levels[-1], response, exposure, gain)
+    local = _coarsest(levels[-1], response, exposure, gain)
     for level, steps in zip(reversed(levels[:-1]), _STEPS[1:], strict=True):
-        found = _level(level, found.logs, response, exposure, gain, steps, doubt=doubt)
-    return found
+        local = _level(level, local.logs, response, exposure, gain, steps, doubt=doubt)
+    return local
 
 
 def polish(
@@ -343,9 +343,9 @@ def polish(
     return _level(level, logs, response, exposure, gain, _POLISH, doubt=doubt)
 
 
-def ranges_about(found: Local, known: Mask) -> Scales:
+def ranges_about(local: Local, known: Mask) -> Scales:
     """Return ranges about the numbers of a coarse level, for a table with a smaller error."""
-    low, high = np.quantile(found.logs[known], [0.002, 0.998], axis=0)
+    low, high = np.quantile(local.logs[known], [0.002, 0.998], axis=0)
     spans = [np.exp([a - _MARGIN, b + _MARGIN]) for a, b in zip(low, high, strict=True)]
     return Scales(None, *(np.clip(s, *r) for s, r in zip(spans, FACTORS[1:], strict=True)))
 
@@ -355,9 +355,9 @@ def _coarsest(level: Seen, response: TexelResponse, exposure, gain: float) -> Lo
     the fitted iris there may be other minima.
     """
     low, high = np.log(np.asarray(response.spans())).T
-    unit = qmc.Sobol(3, scramble=False).random_base2(_COLOURS)
-    tried = jnp.asarray(low + (high - low) * unit, jnp.float32).T
-    return _level(level, level.logs, response, exposure, gain, _STEPS[0], _PRIOR, tried)
+    draws = qmc.Sobol(3, scramble=False).random_base2(_COLOURS)
+    candidates = jnp.asarray(low + (high - low) * draws, jnp.float32).T
+    return _level(level, level.logs, response, exposure, gain, _STEPS[0], _PRIOR, candidates)
 
 
 def _level(
@@ -368,7 +368,7 @@ def _level(
     gain: float,
     steps: int,
     spread: float = _FINER,
-    tried: Array | None = None,
+    candidates: Array | None = None,
     doubt: np.ndarray | None = None,
 ) -> Local:
     """Solve the pixels of a level about the numbers of another one; the search begins there too, or
@@ -376,36 +376,38 @@ def _level(
     """
     known, tints = level.known, level.light.shape[-1] // response.coefficients.shape[1]
     near = map_channels(near, lambda c: c.resize(known.shape[::-1], Image.Resampling.BILINEAR))
-    taken = level.target * np.asarray(exposure, np.float32)
-    noise = max(_noise(taken, known), _NOISE)
+    exposed_target = level.target * np.asarray(exposure, np.float32)
+    noise = max(_noise(exposed_target, known), _NOISE)
     exposed = jnp.asarray(exposure * gain, jnp.float32)
     parts = near[known], (level.target / np.float32(gain))[known], level.light[known]
-    brightest = np.quantile(taken[known], 0.99, axis=0)
-    wrong = jnp.asarray(response.error * brightest, jnp.float32)
-    numbers = exposed, *(jnp.float32(x) for x in (noise, spread)), jnp.asarray(steps), tried, wrong
-    loose = jnp.asarray(np.zeros((3, 3)) if doubt is None else doubt, jnp.float32)
-    one = functools.partial(_solved, response.degrees, tints)
-    one = functools.partial(one, (response.coefficients, response.spans(), *numbers, loose))
+    brightest = np.quantile(exposed_target[known], 0.99, axis=0)
+    table_error = jnp.asarray(response.error * brightest, jnp.float32)
+    doubts = jnp.asarray(np.zeros((3, 3)) if doubt is None else doubt, jnp.float32)
+    numbers = exposed, jnp.float32(noise), jnp.float32(spread), jnp.asarray(steps)
+    settings = response.coefficients, response.spans(), *numbers, candidates, table_error, doubts
+    solve = functools.partial(_solved, response.degrees, tints, settings)
     with ThreadPoolExecutor(2) as pool:
-        each = _ROWS if tried is None else _ROWS_COARSEST
-        rows = map_rows(one, tuple(np.asarray(p, np.float32) for p in parts), each, pool.map)
-    whole: list[Any] = [np.zeros((*known.shape, *r.shape[1:]), np.float32) for r in rows]
-    for picture_of, values in zip(whole, rows, strict=True):
+        rows_a_call = _ROWS if candidates is None else _ROWS_COARSEST
+        results = map_rows(
+            solve, tuple(np.asarray(p, np.float32) for p in parts), rows_a_call, pool.map
+        )
+    pictures: list[Any] = [np.zeros((*known.shape, *r.shape[1:]), np.float32) for r in results]
+    for picture_of, values in zip(pictures, results, strict=True):
         picture_of[known] = values
-    return Local(fill_holes(whole[0], ~known), *whole[1:])
+    return Local(fill_holes(pictures[0], ~known), *pictures[1:])
 
 
 @eqx.filter_jit
-def _solved(degrees: tuple[int, ...], tints: int, held, rows):
+def _solved(degrees: tuple[int, ...], tints: int, settings, rows):
     """Logarithms, their covariances and the variances in these by the exposures, and the errors of
     the channels, of rows of pixels.
     """
-    coefficients, spans, exposure, noise, spread, steps, tried, wrong, loose = held
+    coefficients, spans, exposure, noise, spread, steps, candidates, table_error, doubts = settings
     coefficients = coefficients.astype(spans.dtype)
     low, high = jnp.log(spans).T[..., None]
     first, last = jnp.log1p(products.BEND * spans).T[..., None]
-    whole = coefficients.reshape(coefficients.shape[0], -1).T
-    kept = np.array(products.product_degrees(degrees)).T
+    flat_coefficients = coefficients.reshape(coefficients.shape[0], -1).T
+    product_degrees = np.array(products.product_degrees(degrees)).T
     prior = 1 / spread**2
     eye = jnp.eye(3, dtype=spans.dtype)[..., None]
 
@@ -423,45 +425,46 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
 
     def response(terms):
         """The response without light, (functions, channels, pixels)."""
-        rows = [t[k] for t, k in zip(terms, kept, strict=True)]
-        values = whole @ functools.reduce(jnp.multiply, rows)
+        rows = [t[k] for t, k in zip(terms, product_degrees, strict=True)]
+        values = flat_coefficients @ functools.reduce(jnp.multiply, rows)
         return values.reshape(*coefficients.shape[1:], -1)
 
     def total(terms):
         """Sum over the first axis, term by term: XLA's reduction takes longer than the product."""
         return functools.reduce(jnp.add, list(terms))
 
-    colours = None if tried is None else response(polynomials(tried)[0])
+    colours = None if candidates is None else response(polynomials(candidates)[0])
 
     def solve(pixels):
         centre, target, light = pixels
         wanted, light = encoded(target), light.reshape(tints, -1, light.shape[-1])
         # The error of the table counts most where the encoding is steep: in the dark.
-        weight = 1 / (noise**2 + (_POWER * wanted ** (1 - 1 / _POWER) * wrong[:, None]) ** 2)
+        weight = 1 / (noise**2 + (_POWER * wanted ** (1 - 1 / _POWER) * table_error[:, None]) ** 2)
         light = jnp.moveaxis(light, 1, 0)  # functions, tints, pixels
 
         def around(z):
             values, slopes = polynomials(z)
-            shown = total(response(values) * light)
+            modelled = total(response(values) * light)
             pushed = [
                 total(response([slopes[i] if j == i else values[j] for j in range(3)]) * light)
                 for i in range(3)
             ]
-            lit = jnp.maximum(shown * exposure[:, None], 0.0) + _DARK
+            lit = jnp.maximum(modelled * exposure[:, None], 0.0) + _DARK
             steep = _POWER * lit ** (_POWER - 1)
             rates = jnp.stack(pushed) * (steep * exposure[:, None])
-            off = encoded(shown) - wanted
+            error = encoded(modelled) - wanted
             # Colours that the model cannot make keep their brightness.
-            dim, dims = off.mean(0), rates.mean(1)
+            dim, dims = error.mean(0), rates.mean(1)
             bright = _BRIGHTNESS * weight.min(0)
-            cost = total(weight * off**2) + bright * dim**2 + prior * total((z - centre) ** 2)
-            slope = -total(jnp.moveaxis(weight * rates * off, 1, 0)) - bright * dims * dim
+            cost = total(weight * error**2) + bright * dim**2 + prior * total((z - centre) ** 2)
+            slope = -total(jnp.moveaxis(weight * rates * error, 1, 0)) - bright * dims * dim
             slope = slope - prior * (z - centre)
             channels = zip(weight, jnp.moveaxis(rates, 1, 0), strict=True)
-            told = total(w * r[:, None] * r for w, r in channels) + prior * eye
+            information = total(w * r[:, None] * r for w, r in channels) + prior * eye
             # The force of a channel's logarithm of exposure on the numbers.
             pull = weight * rates * (steep * (lit - _DARK))
-            return cost, slope, told + bright * dims[:, None] * dims, told, pull, off
+            whole = information + bright * dims[:, None] * dims
+            return cost, slope, whole, information, pull, error
 
         def unfinished(state):
             return (state[0] < steps) & (state[1] > _SLIGHT)
@@ -475,36 +478,38 @@ def _solved(degrees: tuple[int, ...], tints: int, held, rows):
             damped = matrix * (1 + damping * eye) * free[:, None] * free + eye * (1 - free)
             move = total(_inverse(damped) * (slope * free)[:, None])  # symmetric
             moved = jnp.clip(z + jnp.clip(move, -_LONGEST, _LONGEST), low, high)
-            found = around(moved)
-            better = found[0] < cost
-            kept = jax.tree.map(
-                lambda new, old: jnp.where(better, new, old), (moved, found), (z, at[1])
+            trial = around(moved)
+            better = trial[0] < cost
+            accepted = jax.tree.map(
+                lambda new, old: jnp.where(better, new, old), (moved, trial), (z, at[1])
             )
             # A step that was refused is tried again, shorter: what it promised counts.
-            gained = jnp.where(better, cost - found[0], (slope * move).sum(0)).max()
-            return count + 1, gained, *kept, damping * jnp.where(better, 0.3, 4.0)
+            gained = jnp.where(better, cost - trial[0], (slope * move).sum(0)).max()
+            return count + 1, gained, *accepted, damping * jnp.where(better, 0.3, 4.0)
 
         start = centre
-        if tried is not None and colours is not None:
+        if candidates is not None and colours is not None:
             seen = total(c[..., None] * s[:, None] for c, s in zip(colours, light, strict=True))
-            off = encoded(seen.reshape(3, -1)).reshape(3, *colours.shape[2:], -1) - wanted[:, None]
-            away = tried[..., None] - centre[:, None]
-            near = total(weight[:, None] * off**2) + prior * total(away**2)
-            near = near + _BRIGHTNESS * weight.min(0) * off.mean(0) ** 2
+            error = (
+                encoded(seen.reshape(3, -1)).reshape(3, *colours.shape[2:], -1) - wanted[:, None]
+            )
+            away = candidates[..., None] - centre[:, None]
+            near = total(weight[:, None] * error**2) + prior * total(away**2)
+            near = near + _BRIGHTNESS * weight.min(0) * error.mean(0) ** 2
             best = jnp.argmin(near, axis=0)
-            start = tried[:, best]
+            start = candidates[:, best]
         start = jnp.clip(start, low, high)
         begin = start, around(start), jnp.full_like(start[0], _DAMPING)
         begin = jnp.zeros_like(steps), jnp.asarray(jnp.inf, start.dtype), *begin
-        *_, z, (*_, told, pull, off), _ = jax.lax.while_loop(unfinished, step, begin)
+        *_, z, (*_, information, pull, error), _ = jax.lax.while_loop(unfinished, step, begin)
         # The coarser levels, which a prior is about, move with the exposures as well.
-        firm = _inverse(told + (1 / _PRIOR**2 - prior) * eye)
+        firm = _inverse(information + (1 / _PRIOR**2 - prior) * eye)
         moved = total(f[:, None] * p for f, p in zip(firm, pull, strict=True))
-        common = total(moved[:, None, c] * (loose[c][:, None] * moved).sum(1) for c in range(3))
-        return z, _inverse(told) + common, jnp.einsum("iip->ip", common), off
+        common = total(moved[:, None, c] * (doubts[c][:, None] * moved).sum(1) for c in range(3))
+        return z, _inverse(information) + common, jnp.einsum("iip->ip", common), error
 
-    found = map_chunks(solve, tuple(jnp.moveaxis(r, 0, -1) for r in rows))
-    return tuple(jnp.moveaxis(f, -1, 0) for f in found)
+    results = map_chunks(solve, tuple(jnp.moveaxis(r, 0, -1) for r in rows))
+    return tuple(jnp.moveaxis(f, -1, 0) for f in results)
 
 
 def _inverse(a):

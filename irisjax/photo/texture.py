@@ -139,29 +139,30 @@ def follow_refraction(pose: Pose, size: int = TEXTURE_SIZE) -> Refraction:
     radius = reach * np.sin(np.pi / 2 * np.linspace(0, 1, radii))
     points = iris_points(eye, np.outer(np.cos(turn), radius), np.outer(np.sin(turn), radius))
     column, row, visible = project_iris_points(eye, pose.camera, points)
-    where = []
+    places = []
     # Each line from the middle ends where the iris is no longer seen.
-    last = np.where(visible, radius, 0).max(1)
-    out, around = texels_of(size)
-    around = around % (2 * np.pi)
+    visible_radius = np.where(visible, radius, 0).max(1)
+    texel_radius, texel_angle = texels_of(size)
+    texel_angle = texel_angle % (2 * np.pi)
     # The splines are evaluated on a finer grid, between whose points they are straight to 1e-5 of
     # the iris's width: a tenth of the time that they take at every texel.
     lines, rings = 8 * angles, 4 * (radii - 1)
     turns = 2 * np.pi / lines * np.arange(lines + 1)
     bend = np.pi / 2 / rings
-    at = around * (lines / (2 * np.pi)), np.arcsin(np.minimum(out / reach, 1)) / bend
-    more = np.arange(-4, angles + 4)  # some lines twice: the splines are periodic
-    wide = turn[more % angles] + 2 * np.pi * (more // angles)
+    ring = np.arcsin(np.minimum(texel_radius / reach, 1)) / bend
+    on_grid = texel_angle * (lines / (2 * np.pi)), ring
+    periodic = np.arange(-4, angles + 4)  # some lines twice: the splines are periodic
+    extended = turn[periodic % angles] + 2 * np.pi * (periodic // angles)
     for values in (column, row):
         # Lines go on straight where they are out of sight.
         for line, shown in zip(values, visible, strict=True):
             n = radii if shown.all() else int(np.argmin(shown))
             line[n:] = make_interp_spline(radius[:n], line[:n], k=1)(radius[n:])
-        spline = RectBivariateSpline(wide, radius, values[more % angles], kx=3, ky=3)
+        spline = RectBivariateSpline(extended, radius, values[periodic % angles], kx=3, ky=3)
         fine = spline(turns, reach * np.sin(bend * np.arange(rings + 1)))
-        where.append(sampled(fine, *at))
-    edge = np.interp(around, wide, last[more % angles])
-    return Refraction(where[0], where[1], out < np.minimum(edge, reach))
+        places.append(sampled(fine, *on_grid))
+    visible_edge = np.interp(texel_angle, extended, visible_radius[periodic % angles])
+    return Refraction(places[0], places[1], texel_radius < np.minimum(visible_edge, reach))
 
 
 def follow_cells(pose: Pose, where: Refraction, shape: tuple[int, int]) -> Refraction:
@@ -185,20 +186,20 @@ def unrefract(
 
     Values are interpolated linearly, so the photograph should not be finer than the texture.
     """
-    found = [sampled(c, where.row, where.column) for c in np.moveaxis(pixels, -1, 0)]
-    found = np.stack(found, -1).astype(np.float32)
+    texels = [sampled(c, where.row, where.column) for c in np.moveaxis(pixels, -1, 0)]
+    texels = np.stack(texels, -1).astype(np.float32)
     rows, columns = clear.shape
     within = (where.row >= 0) & (where.row <= rows - 1)
     within &= (where.column >= 0) & (where.column <= columns - 1)
-    sure = sampled(clear.astype(np.float32), where.row, where.column)
+    clear_share = sampled(clear.astype(np.float32), where.row, where.column)
     pupil, root = float(pose.eye.pupil_radius), float(pose.eye.iris_radius)
-    radius, angle = texels_of(len(sure))
+    radius, angle = texels_of(len(clear_share))
     x, y = radius * np.cos(angle), radius * np.sin(angle)
     off_pupil = np.hypot(x - pose.pupil_centre[0], y - pose.pupil_centre[1]) > pupil
     shown = where.visible & within
-    found = np.where(shown[..., None], found, np.float32(0))
-    valid = shown & off_pupil & (sure > 0.999)
-    return Unrefracted(found, valid, pupil, root, pose.pupil_centre)
+    texels = np.where(shown[..., None], texels, np.float32(0))
+    valid = shown & off_pupil & (clear_share > 0.999)
+    return Unrefracted(texels, valid, pupil, root, pose.pupil_centre)
 
 
 def pixels_shown(view: View, visible: Mask, shape: tuple[int, int]) -> np.ndarray:
@@ -280,7 +281,7 @@ def fill_holes(
     if holes.all():
         raise ValueError(f"all {holes.size} pixels are holes; there is nothing to fill them from")
     hole, layers = holes[..., None], pixels.reshape(*holes.shape, -1)
-    filled = _filled(np.where(hole, 0, layers).astype(np.float32), (~hole).astype(np.float32))
+    filled = _fill_levels(np.where(hole, 0, layers).astype(np.float32), (~hole).astype(np.float32))
     return np.where(hole, filled, layers).astype(pixels.dtype).reshape(pixels.shape)
 
 
@@ -309,7 +310,7 @@ def masked_mean(values: Brightness, valid: Mask, sigma: float) -> Brightness:
     return np.where(far, values[valid].mean(dtype=np.float32), mean)
 
 
-def _filled(total: np.ndarray, known: np.ndarray) -> np.ndarray:
+def _fill_levels(total: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Values whose sums over the known parts are `total`, filled where less than all is known."""
     rows, columns = known.shape[:2]
     if known.all() or rows == columns == 1:
@@ -318,7 +319,7 @@ def _filled(total: np.ndarray, known: np.ndarray) -> np.ndarray:
     # A quarter known is enough for a square to count in full at the next level.
     share = np.maximum(coarse[1], 1e-30)
     weight = np.minimum(4 * coarse[1], 1.0)
-    below = _filled(coarse[0] / share * weight, weight)
+    below = _fill_levels(coarse[0] / share * weight, weight)
     size = 2 * below.shape[1], 2 * below.shape[0]
     above = map_channels(below, lambda c: c.resize(size, Image.Resampling.BILINEAR))
     return total + (1 - known) * above[:rows, :columns]

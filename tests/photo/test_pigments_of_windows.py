@@ -13,8 +13,8 @@ from irisjax.photo.pigments import (
     CONCENTRATIONS,
     FREE_NAMES,
     RING,
-    _drawn,
     _totals_and_slope,
+    _values_of_chain,
     exposures_for,
     fit_pigments,
     iris_of_concentrations,
@@ -168,6 +168,6 @@ def test_the_chains_own_coordinates_leave_the_prior_as_it_is():
     z = jnp.asarray(np.random.default_rng(6).normal(size=(20, len(FREE_NAMES))))
     x, slope = jax.jit(jax.vmap(_totals_and_slope))(z)
     assert np.abs(x - z).max() > 0.5
-    np.testing.assert_allclose(_drawn(x)["z"], z, atol=1e-10)
+    np.testing.assert_allclose(_values_of_chain(x)["z"], z, atol=1e-10)
     volumes = np.linalg.det(slope)
     np.testing.assert_allclose(volumes, volumes[0], rtol=1e-10)
