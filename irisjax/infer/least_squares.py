@@ -118,24 +118,24 @@ def least_squares_of_rows(
     rows: Any,
     starts: Float[Array, "rows moving"],
     *,
-    solver: optx.AbstractLeastSquaresSolver[Array, Array, Any, Any],
+    solver: optx.AbstractGaussNewton[Array, Array, Any],
     lanes: int,
     max_steps: int = 200,
 ) -> Minimum:
-    """Find what `least_squares` finds of each of many problems from one start, in lanes that do not
-    wait for each other: a lane whose search has ended takes the next row. Call it inside a jitted
-    function.
+    """Search from one start for each of many rows, as `least_squares` does for one problem. The
+    searches run in lanes that do not wait for each other: a lane whose search has ended takes the
+    next row. Call it inside a jitted function.
 
     Args:
-        residuals: As for `least_squares`, of a row in place of `args`.
-        rows: Whatever else the residuals of each row depend on, rows first; not differentiable.
-        starts: Where the searches start.
+        residuals: As for `least_squares`; its `args` are one row, its `weight` is 1.
+        rows: Arrays whose first axis is that of the rows; not differentiable.
+        starts: Where the search of each row starts.
         solver: Rule of the steps.
-        lanes: Number of searches that run at a time.
-        max_steps: Largest number of steps of a search.
+        lanes: Number of searches that run at a time, at least 1.
+        max_steps: Largest number of steps of a search, at least 1.
 
     Returns:
-        The minima, rows first.
+        The minima, rows first; map over them before you ask for a covariance.
     """
     rows = nondifferentiable(rows, name="the data of least squares")
     function, weight = _with_jacobian(residuals), jnp.ones((), starts.dtype)
@@ -155,13 +155,17 @@ def least_squares_of_rows(
 
     def step(x, dynamic, steps, row):
         args, state, steps = (weight, row), eqx.combine(static, dynamic), steps + 1
-        x, state, aux = solver.step(function, x, args, {}, state, tags)
+        # What the solver returns beside its state is of the point before.
+        x, state, _ = solver.step(function, x, args, {}, state, tags)
         done, result = solver.terminate(function, x, args, {}, state, tags)
-        result = optx.RESULTS.where(jnp.isfinite(x).all(), result, optx.RESULTS.nonfinite)
-        exhausted = (steps >= max_steps) & ~done & (result == optx.RESULTS.successful)
+        _, cost, *_ = state.aux
+        finite = jnp.isfinite(x).all() & jnp.isfinite(cost)
+        result = optx.RESULTS.where(finite, result, optx.RESULTS.nonfinite)
+        failed = result != optx.RESULTS.successful
+        exhausted = (steps >= max_steps) & ~done & ~failed
         result = optx.RESULTS.where(exhausted, optx.RESULTS.nonlinear_max_steps_reached, result)
-        ended = done | (result != optx.RESULTS.successful)
-        return x, eqx.filter(state, eqx.is_array), steps, ended, (aux, steps, result)
+        end = state.aux, steps, result
+        return x, eqx.filter(state, eqx.is_array), steps, done | failed | exhausted, end
 
     def advance(state):
         places, x, dynamic, steps, ends = state
@@ -169,7 +173,7 @@ def least_squares_of_rows(
         # A lane without a row has a place behind all rows: what it finds is dropped.
         stored = jnp.where(ended, places, count)
         ends = jax.tree.map(lambda rows, new: rows.at[stored].set(new, mode="drop"), ends, end)
-        # The rows that no lane has had yet begin behind the last place.
+        # Places are dealt in order, and the lane with the last one still has it: go on from there.
         places = jnp.where(ended, places.max() + jnp.cumsum(ended), places)
         first, row = pick(places)
         begun = first, eqx.filter(eqx.filter_vmap(begin)(first, row), eqx.is_array), 0 * steps

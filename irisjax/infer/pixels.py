@@ -32,12 +32,12 @@ from irisjax.numerics.chunks import map_rows
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 
-_ROWS, _BATCH = 64, 16  # pixels of a call, and of a search in step: more leave the core's cache
+_ROWS, _BATCH = 64, 16  # pixels of a call, and computed together: more leave the core's cache
 _BROYDEN_STEPS, _LONGEST = 5, 1.0  # from a spectrum of the table, and the longest in each of z
-_SEARCHED = 512  # pixels that are searched in a call
+_SEARCHED = 512  # pixels of a call that searches, in _BATCH lanes: few lanes idle at its end
 # A search ends when z and the residuals, whose standard deviations are about one, move by less. Of
-# 16,384 simulated pixels 99 in 100 are then within 0.07 standard deviations of the optimum, and all
-# within 0.4 (ILIT; 0.03 and 0.11 by radiative transfer).
+# 16,384 simulated pixels 99 in 100 are then within 0.05 standard deviations of the optimum, and all
+# within 0.4 (ILIT; 0.004 and 0.08 by radiative transfer).
 _TOLERANCE = 1e-2
 _AT_OPTIMUM = 1e-4  # standard deviations
 _DRAWS = 2**12  # of the priors

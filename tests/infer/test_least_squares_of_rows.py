@@ -23,8 +23,8 @@ def valley(x, weight, narrow):
 
 
 @eqx.filter_jit
-def in_lanes(rows, starts, lanes, max_steps=200):
-    solver = levenberg_marquardt()
+def in_lanes(rows, starts, lanes, max_steps=200, tolerance=1e-8):
+    solver = levenberg_marquardt(tolerance, tolerance)
     return least_squares_of_rows(
         valley, rows, starts, solver=solver, lanes=lanes, max_steps=max_steps
     )
@@ -65,3 +65,29 @@ def test_a_search_that_does_not_end_says_so(four_lanes):
     assert 0 < exhausted.sum() < len(NARROW)
     np.testing.assert_array_equal(few.agreeing, ~exhausted)
     np.testing.assert_array_equal(few.x[~exhausted], four_lanes.x[~exhausted])
+
+
+def test_the_minimum_is_the_last_point_that_was_reached():
+    """A search to a loose tolerance ends where optimistix's own does, not a step before."""
+
+    @jax.jit
+    def of_optimistix(narrow, start):
+        solver = levenberg_marquardt(1e-2, 1e-2)
+        return optx.least_squares(lambda x, _: valley(x, 1.0, narrow)[0], solver, start).value
+
+    loose = in_lanes(jnp.asarray(NARROW), jnp.asarray(STARTS), 4, tolerance=1e-2)
+    rows = jnp.asarray(NARROW), jnp.asarray(STARTS)
+    expected = jax.lax.map(lambda row: of_optimistix(*row), rows)
+    np.testing.assert_allclose(loose.x, expected, rtol=1e-6)
+    residuals = jax.vmap(lambda x, narrow: valley(x, 1.0, narrow)[0])(loose.x, rows[0])
+    np.testing.assert_allclose(loose.cost, 0.5 * (residuals**2).sum(1), rtol=1e-9)
+
+
+def test_a_row_that_is_no_number_fails_alone(four_lanes):
+    broken = jnp.asarray(NARROW).at[3].set(jnp.nan)
+    found = in_lanes(broken, jnp.asarray(STARTS), 4)
+    others = np.arange(len(NARROW)) != 3
+    np.testing.assert_array_equal(found.x[others], four_lanes.x[others])
+    assert found.agreeing[3] == 0
+    assert np.isinf(found.cost[3])
+    assert found.steps[3] == 1
