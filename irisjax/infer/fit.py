@@ -178,8 +178,8 @@ def _fit(problem, solver, start, key, use_priors, starts, rounds, max_steps) -> 
 
 
 def residuals(x: Float[Array, " moving"], weight: Any, problem: Problem) -> Any:
-    """Residuals of the data and of the priors, for `least_squares`, and those of the data, the
-    predicted readings and the solver's status.
+    """Return the residuals of the data and of the priors, as `least_squares` takes them, and beside
+    them those of the data alone, the predicted readings and the solver's status.
     """
     data, predicted, status = problem.evaluated(_expanded(problem, x))
     return jnp.concatenate([data, weight * x]), (data, predicted, status)
@@ -208,7 +208,7 @@ def fit_at(problem: Problem, best: Minimum, use_priors: bool = True) -> Fit:
 
 
 def _expanded(problem: Problem, x: Float[Array, " moving"]) -> Float[Array, " free"]:
-    """All of z from its fitted part; the rest at the priors' medians."""
+    """Return z from its fitted part, with the rest at the priors' medians."""
     return jnp.zeros(len(problem.free), x.dtype).at[np.asarray(problem.moving, int)].set(x)
 
 

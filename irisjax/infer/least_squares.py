@@ -121,6 +121,7 @@ def least_squares_of_rows(
     solver: optx.AbstractGaussNewton[Array, Array, Any],
     lanes: int,
     max_steps: int = 200,
+    count: Any = None,
 ) -> Minimum:
     """Search from one start for each of many rows, as `least_squares` does for one problem. The
     searches run in lanes that do not wait for each other: a lane whose search has ended takes the
@@ -133,16 +134,19 @@ def least_squares_of_rows(
         solver: Rule of the steps.
         lanes: Number of searches that run at a time, at least 1.
         max_steps: Largest number of steps of a search, at least 1.
+        count: Number of rows that are searched, the first ones; default all.
 
     Returns:
-        The minima, rows first; map over them before you ask for a covariance.
+        The minima, rows first, zeros where no search was; map over them before you ask for a
+        covariance.
     """
     rows = nondifferentiable(rows, name="the data of least squares")
     function, weight = _with_jacobian(residuals), jnp.ones((), starts.dtype)
-    count, tags = len(starts), frozenset[object]()
+    size, tags = len(starts), frozenset[object]()
+    count = size if count is None else count
 
     def pick(places):
-        places = jnp.minimum(places, count - 1)
+        places = jnp.minimum(places, size - 1)
         return starts[places], jax.tree.map(lambda array: array[places], rows)
 
     def begin(x, row):
@@ -155,7 +159,7 @@ def least_squares_of_rows(
 
     def step(x, dynamic, steps, row):
         args, state, steps = (weight, row), eqx.combine(static, dynamic), steps + 1
-        # What the solver returns beside its state is of the point before.
+        # The solver returns the aux of the point before; its state has that of x.
         x, state, _ = solver.step(function, x, args, {}, state, tags)
         done, result = solver.terminate(function, x, args, {}, state, tags)
         _, cost, *_ = state.aux
@@ -171,7 +175,7 @@ def least_squares_of_rows(
         places, x, dynamic, steps, ends = state
         x, dynamic, steps, ended, end = eqx.filter_vmap(step)(x, dynamic, steps, pick(places)[1])
         # A lane without a row has a place behind all rows: what it finds is dropped.
-        stored = jnp.where(ended, places, count)
+        stored = jnp.where(ended & (places < count), places, size)
         ends = jax.tree.map(lambda rows, new: rows.at[stored].set(new, mode="drop"), ends, end)
         # Places are dealt in order, and the lane with the last one still has it: go on from there.
         places = jnp.where(ended, places.max() + jnp.cumsum(ended), places)
@@ -185,7 +189,7 @@ def least_squares_of_rows(
 
     state = x, dynamic, jnp.zeros_like(places)
     *_, shapes = eqx.filter_eval_shape(eqx.filter_vmap(step), *state, row)
-    ends = jax.tree.map(lambda s: jnp.zeros((count, *s.shape[1:]), s.dtype), shapes)
+    ends = jax.tree.map(lambda s: jnp.zeros((size, *s.shape[1:]), s.dtype), shapes)
     state = places, *state, ends
     *_, ends = jax.lax.while_loop(lambda state: (state[0] < count).any(), advance, state)
     (x, cost, jacobian, aux), steps, result = ends

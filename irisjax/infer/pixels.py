@@ -1,10 +1,10 @@
 """Least squares for every pixel of a hyperspectral cube, and the iris that its maps describe.
 
-A pixel has the fit that `fit` makes from one start. This comes from the nearest spectrum of a
-table, which contains draws of the priors or fits of pixels spread over the cube, by a few steps of
-Broyden's method from the derivatives of that spectrum, which cost a sixth of steps with derivatives
-of their own. Pixels go through programs of a fixed size, so that each result depends on its own
-spectrum and the table alone.
+Each pixel is fitted by one search, as by `fit` but to a looser tolerance. The search starts near
+the most similar spectrum of a table, which contains draws of the priors or fits of pixels spread
+over the cube: a few steps of Broyden's method lead there from that spectrum's vector and
+derivatives, each at a sixth of the cost of a step with derivatives of its own. Pixels go through
+programs of a fixed size, so that each result depends on its own spectrum and the table alone.
 """
 
 import enum
@@ -47,8 +47,9 @@ Each = Callable[..., Any]
 
 
 class _Dogleg(optx.Dogleg[Any, Any, Any]):
-    """Powell's dogleg, which also ends at an optimum to rounding, where no step lowers the cost: a
-    Gauss–Newton step is as long, in standard deviations, as the change of the residuals along it.
+    """Powell's dogleg, which also ends where a Gauss–Newton step would move by less than
+    `_AT_OPTIMUM`: rounding may hide there that a step lowers the cost. In standard deviations a
+    step is as long as the change of the residuals along it.
     """
 
     def terminate(
@@ -141,7 +142,8 @@ def fit_pixels(
     table = jax.tree.map(lambda x: jnp.asarray(x, dtype), starts)
     z = map_rows(lambda rows: _initial_z(problem, table, rows), values, _ROWS, each)
     run = partial(_fit_rows, problem)
-    fits = map_rows(run, (values, z), _SEARCHED, each)
+    # Rows that fill the last call have the number of the last pixel, and are not searched.
+    fits = map_rows(run, (values, z, np.arange(len(values))), _SEARCHED, each)
     moving = problem.moving
     slopes = fits["slopes"][:, moving]
     covariance = fits["covariance"][:, moving][:, :, moving]
@@ -231,31 +233,33 @@ def _initial_z(problem: Problem, starts: Starts, values: Any) -> Any:
     def one(row):
         v, sd, k = row
 
-        def weighed(z, predicted):
+        def point(z, predicted):
             rest = (v - predicted) / sd
             return z, rest, (rest * rest).sum() + (z * z).sum()
 
         def step(state, _):
-            slopes, (z, rest, lowest) = state
+            slopes, best = state
+            z, rest, lowest = best
             gram = slopes.T @ slopes + jnp.eye(z.size, dtype=z.dtype)
             move = linear.solve(gram, slopes.T @ rest - z)
             move = jnp.clip(move, -_LONGEST, _LONGEST)
-            tried = weighed(z + move, problem.predict(z + move)[0])
-            # The derivatives are corrected along the step, by what they foretold wrongly.
-            wrong = rest - tried[1] - slopes @ move
+            trial = _, new_rest, cost = point(z + move, problem.predict(z + move)[0])
+            # Broyden's update corrects, along the step, what the derivatives foretold wrongly. A
+            # prediction that is no number ends the steps: nothing after it is better.
+            wrong = rest - new_rest - slopes @ move
             slopes = slopes + wrong[:, None] * move / jnp.maximum(move @ move, 1e-30)
-            better = tried[2] < lowest
-            return (slopes, jax.tree.map(partial(jnp.where, better), tried, state[1])), None
+            return (slopes, jax.tree.map(partial(jnp.where, cost < lowest), trial, best)), None
 
-        initial = starts.slopes[k] / sd[:, None], weighed(starts.z[k], starts.predicted[k])
-        return jax.lax.scan(step, initial, length=_BROYDEN_STEPS)[0][1][0]
+        initial = starts.slopes[k] / sd[:, None], point(starts.z[k], starts.predicted[k])
+        (_, (z, *_)), _ = jax.lax.scan(step, initial, length=_BROYDEN_STEPS)
+        return z
 
     return jax.lax.map(one, (values, sd, nearest), batch_size=_BATCH)
 
 
 @eqx.filter_jit
 def _fit_rows(problem: Problem, rows: Any) -> dict[str, Any]:
-    o, (values, z) = problem.observations[0], rows
+    o, (values, z, numbers) = problem.observations[0], rows
     # Dogleg takes half as many steps as Levenberg and Marquardt's method in curved valleys.
     make: Any = _Dogleg  # type checkers do not see the constructor that it inherits
     solver = make(_TOLERANCE, _TOLERANCE, linear_solver=NORMAL_EQUATIONS)
@@ -277,6 +281,7 @@ def _fit_rows(problem: Problem, rows: Any) -> dict[str, Any]:
         }  # fmt: skip
 
     minima = least_squares_of_rows(
-        pixel_residuals, values, z[:, np.asarray(problem.moving, int)], solver=solver, lanes=_BATCH
-    )
+        pixel_residuals, values, z[:, np.asarray(problem.moving, int)], solver=solver,
+        lanes=_BATCH, count=numbers[-1] - numbers[0] + 1,
+    )  # fmt: skip
     return jax.lax.map(finish, (values, minima), batch_size=_BATCH)

@@ -23,11 +23,10 @@ def valley(x, weight, narrow):
 
 
 @eqx.filter_jit
-def in_lanes(rows, starts, lanes, max_steps=200, tolerance=1e-8):
+def in_lanes(rows, starts, lanes, max_steps=200, tolerance=1e-8, count=None):
     solver = levenberg_marquardt(tolerance, tolerance)
-    return least_squares_of_rows(
-        valley, rows, starts, solver=solver, lanes=lanes, max_steps=max_steps
-    )
+    most = {"max_steps": max_steps, "count": count}
+    return least_squares_of_rows(valley, rows, starts, solver=solver, lanes=lanes, **most)
 
 
 @pytest.fixture(scope="module")
@@ -91,3 +90,10 @@ def test_a_row_that_is_no_number_fails_alone(four_lanes):
     assert found.agreeing[3] == 0
     assert np.isinf(found.cost[3])
     assert found.steps[3] == 1
+
+
+def test_the_first_rows_alone_are_searched(four_lanes):
+    some = in_lanes(jnp.asarray(NARROW), jnp.asarray(STARTS), 4, count=jnp.asarray(6))
+    np.testing.assert_array_equal(some.x[:6], four_lanes.x[:6])
+    np.testing.assert_array_equal(some.steps[:6], four_lanes.steps[:6])
+    assert not some.steps[6:].any()
