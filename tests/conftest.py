@@ -14,8 +14,10 @@ gc.disable()  # until all is imported, of which next to nothing is garbage
 
 # The command would otherwise use the user's own cache.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", "")
-# Each worker has a core to itself, and matrices are small.
+# Each worker has a core to itself, matrices and programs are small: threads would wait for each
+# other, which cost a fifth of the time of all tests. XLA reads NPROC.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("NPROC", "1")
 
 import jaxtyping
 
@@ -24,7 +26,7 @@ jaxtyping.install_import_hook("irisjax", "typechecking.checked")
 import jax
 import jax.monitoring
 import pytest
-from hypothesis import settings
+from hypothesis import given, settings, strategies
 from jax._src.interpreters import mlir
 
 jax.config.update("jax_enable_x64", True)
@@ -170,6 +172,8 @@ def pytest_collection_modifyitems(items):
     files = {path: k for k, path in enumerate(dict.fromkeys(item.path for item in items))}
     weights = {path: _LONGEST.get(_name(path), 0) for path in files}
     items.sort(key=lambda x: (-weights[x.path], files[x.path], _wants_float32(x)))
+    # Before its first property Hypothesis looks through all objects: there are few now.
+    given(strategies.none())(lambda _: None)()
     # Imported modules and collected tests stay: no collection of garbage needs to look through them,
     # and traces leave so little that seldom is enough.
     gc.freeze()
@@ -274,6 +278,7 @@ def pytest_addoption(parser, pluginmanager):
 
 def pytest_sessionfinish(session):
     """A worker of pytest-xdist sends its numbers to the process that prints them."""
+    gc.freeze()  # or pytest looks through all that is left, for ten seconds
     if hasattr(session.config, "workeroutput"):
         session.config.workeroutput["programs"] = dict(_counts)
 
