@@ -94,7 +94,7 @@ class Fit(eqx.Module):
 def fit(
     problem: Problem,
     *,
-    solver: optx.AbstractLeastSquaresSolver[Array, Array, Any, Any] | None = None,
+    solver: optx.AbstractGaussNewton[Array, Array, Any] | None = None,
     use_priors: bool = True,
     start: Float[Array, " free"] | None = None,
     starts: int = 4,
@@ -112,7 +112,7 @@ def fit(
 
     Args:
         problem: What was measured and what is free.
-        solver: optimistix's solver; default `levenberg_marquardt()`.
+        solver: One of optimistix's Gauss–Newton solvers; default `levenberg_marquardt()`.
         use_priors: Whether the priors count.
         start: Where the first search starts, in z; default the priors' medians.
         starts: Number of searches in a round; all but the first start from draws of the priors.
@@ -126,8 +126,11 @@ def fit(
     """
     if solver is None:
         solver = levenberg_marquardt()
-    elif not isinstance(solver, optx.AbstractLeastSquaresSolver):
-        raise ValueError(f"solver={solver!r} is no least-squares solver of optimistix")
+    elif not isinstance(solver, optx.AbstractGaussNewton):
+        raise ValueError(
+            f"solver={solver!r}: give one of optimistix's Gauss–Newton solvers, such as "
+            "LevenbergMarquardt or Dogleg"
+        )
     for name, number in (("starts", starts), ("rounds", rounds), ("max_steps", max_steps)):
         check_whole(name, number, 1)
     if starts == 1:

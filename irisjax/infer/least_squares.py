@@ -53,7 +53,7 @@ def least_squares(
     start: Float[Array, " moving"],
     *,
     weights: Float[Array, " stages"] | None = None,
-    solver: optx.AbstractLeastSquaresSolver[Array, Array, Any, Any] | None = None,
+    solver: optx.AbstractGaussNewton[Array, Array, Any] | None = None,
     starts: int = 1,
     rounds: int = 1,
     max_steps: int = 200,
@@ -268,7 +268,8 @@ def _search(function, args, solver, weights, max_steps, x):
         end = optx.least_squares(
             function, solver, x, (weight, args), has_aux=True, max_steps=max_steps, throw=False
         )
-        return end.value, (end.aux, end.stats["num_steps"], end.result)
+        # What the solver returns beside the value is of the point before; its state is of this one.
+        return end.value, (end.state.aux, end.stats["num_steps"], end.result)
 
     _, (ends, steps, results) = jax.lax.scan(at_weight, x, weights)
     (x, cost, jacobian, aux), result = jax.tree.map(lambda stages: stages[-1], (ends, results))

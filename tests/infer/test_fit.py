@@ -279,7 +279,7 @@ def test_rounds_follow_while_starts_disagree():
     ("options", "message"),
     [
         ({}, "starts=4 draws all but the first at random: give key="),
-        ({"solver": "levenberg-marquardt"}, "'levenberg-marquardt' is no least-squares solver"),
+        ({"solver": "levenberg-marquardt"}, "'levenberg-marquardt': give one of optimistix's"),
         ({"starts": 0}, r"starts = 0 is outside \[1, inf\)"),
         ({"max_steps": 0, "starts": 1}, r"max_steps = 0 is outside \[1, inf\)"),
     ],

@@ -48,6 +48,15 @@ def test_rows_have_the_minima_of_single_searches(four_lanes):
     assert (four_lanes.agreeing == 1).all()
 
 
+def test_a_search_reports_its_last_point():
+    """optimistix returns what the residuals were at the point before, beside the last one."""
+    rough, start = levenberg_marquardt(1e-2, 1e-2), jnp.array([-1.2, 2.0])
+    x, cost = jax.jit(lambda start: least_squares(valley, 3.0, start, solver=rough)[:2])(start)
+    expected = optx.least_squares(lambda x, narrow: valley(x, 1.0, narrow)[0], rough, start, 3.0)
+    np.testing.assert_allclose(x, expected.value, rtol=1e-9)
+    np.testing.assert_allclose(cost, 0.5 * (valley(x, 1.0, 3.0)[0] ** 2).sum(), rtol=1e-12)
+
+
 def test_a_row_does_not_depend_on_its_lane(four_lanes):
     others = in_lanes(jnp.asarray(NARROW)[::-1], jnp.asarray(STARTS)[::-1], 4)
     np.testing.assert_array_equal(others.x[::-1], four_lanes.x)
