@@ -17,19 +17,19 @@ from irisjax.grow.presets import preset
 from irisjax.grow.procedural import procedural
 from irisjax.grow.vessels import veins
 from irisjax.io import write_atomically, write_png
-from irisjax.measure.colour import srgb_encode
+from irisjax.measure.colour import agx_encode, srgb_encode
 from irisjax.render.camera import Camera
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
-from irisjax.render.picture import draw, illuminate, respond, shade, texture
+from irisjax.render.picture import draw, exposure_of_white, illuminate, respond, shade, texture
 from irisjax.render.project import project
 from irisjax.render.scene import Scene
 from irisjax.render.single_scattering import SingleScattering
 from irisjax.tissue import FRACTIONS
 
 MELANIN = (("high", 1.008, 0.2674), ("moderate", 0.8138, 0.2054), ("low", 0.1201, 0.0194))
-EXPOSURE = 6.0
-"""LB06's irides send back 1 to 5 % of the light: brightened alike, all of them."""
+STOPS = 3
+"""By how much LB06's irides, which send back 1 to 5 % of the light, are exposed above the white."""
 GRAZING = 1.7
 """Polar angle of the light of a caustic, radians."""
 CONCENTRATIONS = dict(zip(FRACTIONS, (7.56, 5.84, 4.61, 2.11), strict=True))
@@ -43,20 +43,24 @@ def main(key, quick=False, out=RESULTS):
     side = 24 if quick else 240
     shape = (96, 32) if quick else (768, 256)
     table = {"size": 33, "n_rays": 4096} if quick else {}
-    camera = Camera(size=(side, side), width=12.6)
-    close = Eye(sclera=None, cornea=Cornea(scatter=None))
+    camera = Camera(size=(side, side), width=13.6)
+    close = Eye(cornea=Cornea(scatter=None))
     smooth = Illumination.build(close, caustics=False, size=table.get("size", 129))
     lights = Lights.distant([0.6, 0.9], [2.2, 0.6], [2.2, 0.9])
 
     def seed(i):
         return jax.random.fold_in(key, i)
 
-    def save(name, panels, exposure=EXPOSURE):
-        encoded = np.asarray(srgb_encode(np.clip(exposure * np.concatenate(panels, axis=1), 0, 1)))
+    def save(name, panels, exposure, encode=lambda x: srgb_encode(np.clip(x, 0, 1))):
+        encoded = np.asarray(encode(exposure * np.concatenate(panels, axis=1)))
         out.mkdir(parents=True, exist_ok=True)
         write_png(
-            out / f"{name}.png", encoded, remark=f"simulated by irisjax, light × {exposure:g}"
+            out / f"{name}.png", encoded, remark=f"simulated by irisjax, exposure {exposure:.3g}"
         )
+
+    # Exposed for the white of the eye, also where it is not drawn.
+    def exposure(scene):
+        return exposure_of_white(scene.replace(eye=close))
 
     # LB06 Fig. 9: rows 20, 50 and 80 % of the melanin in the ABL, columns from high to low.
     base = ij.Iris.of_level("moderate")
@@ -76,17 +80,16 @@ def main(key, quick=False, out=RESULTS):
         )
         for f in (0.2, 0.5, 0.8)
     ]
-    save("render_lb06_fig9", [np.concatenate(rows)])
+    save("render_lb06_fig9", [np.concatenate(rows)], 2**STOPS * exposure(scene), agx_encode)
 
     # F09 Fig. 14: from the side, where refraction lifts the iris towards the viewer.
     iris, maps = preset("blue", shape=shape, key=seed(1))
     side_on = dataclasses.replace(camera, polar=jnp.asarray(math.radians(60)))
-    bare = close.replace(cornea=None)
-    views = [
-        draw(Scene(iris, maps, eye, lights, camera=side_on), t)
-        for eye, t in ((close, smooth), (bare, None))
-    ]
-    save("render_f09_fig14", views, 2.0)
+    alone = close.replace(sclera=None)
+    eyes = alone, alone.replace(cornea=None)
+    scenes = [Scene(iris, maps, eye, lights, camera=side_on) for eye in eyes]
+    views = [draw(scene, t) for scene, t in zip(scenes, (smooth, None), strict=True)]
+    save("render_f09_fig14", views, exposure(scenes[0]))
 
     # Figs. 15, 16: what reaches the iris, and how it looks on two irides.
     full = Illumination.build(close, caustics=True, **table)
@@ -105,7 +108,7 @@ def main(key, quick=False, out=RESULTS):
     caustic = []
     for i, colour in enumerate(("brown", "blue")):
         iris, maps = preset(colour, shape=shape, features=SMOOTH, key=seed(2 + i))
-        caustic.append(draw(Scene(iris, maps, close, lamp, camera=camera), full))
+        caustic.append(draw(Scene(iris, maps, alone, lamp, camera=camera), full))
     save("render_f09_fig16", caustic, 3.0)
 
     # Fig. 1: F09's concentrations, cornea and renderer, in the same lights.
@@ -124,8 +127,9 @@ def main(key, quick=False, out=RESULTS):
     freckled = []
     for number in (0, 60):
         iris, maps = preset("green", shape=shape, features={"freckles": number}, key=seed(4))
-        freckled.append(draw(Scene(iris, maps, close, lights, camera=camera), smooth))
-    save("render_f09_fig17", freckled, 2.0)
+        scene = Scene(iris, maps, close, lights, camera=camera)
+        freckled.append(draw(scene, smooth))
+    save("render_f09_fig17", freckled, exposure(scene))
 
     # Fig. 18: the white, turned aside.
     iris, maps = preset("hazel", shape=shape, key=seed(5))

@@ -37,14 +37,14 @@ panels(
         f"{level}: eumelanin {eu} mg/ml"
         for level, eu in (("high", 1.008), ("moderate", 0.814), ("low", 0.120))
     ],
-    "After LB06 Fig. 9 (simulated; light × 6)",
+    "After LB06 Fig. 9 (simulated; three stops above the exposure of the white, AgX)",
     "lb06_fig9",
     [f"{share} % of the melanin in the ABL" for share in (20, 50, 80)],
 )
 panels(
     "render_f09_fig14",
     ["refraction at the cornea", "no cornea"],
-    "After F09 Fig. 14: camera 60° aside (simulated; light × 2)",
+    "After F09 Fig. 14: camera 60° aside (simulated)",
     "f09_fig14",
 )
 panels(
@@ -62,7 +62,7 @@ panels(
 panels(
     "render_f09_fig17",
     ["no freckles", "60 freckles"],
-    "After F09 Fig. 17: green iris (simulated; light × 2)",
+    "After F09 Fig. 17: green iris (simulated)",
     "f09_fig17",
 )
 panels(
