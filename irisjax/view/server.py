@@ -38,6 +38,11 @@ _REST = 0.25  # s without a change before the fine picture replaces the draft
 _PATIENCE = 0.3  # s that other pigments may take without a draft
 _MOST_STEPS = 100  # that can be undone
 _SCENE = "scene.toml"
+# viser turns its camera by the arrow keys, also by those that move a slider: they end below it.
+_KEEP_ARROWS = (
+    """<img src="data:," style="display:none" onerror="document.body.addEventListener('keydown', """
+    """event => event.target.closest('[role=slider]') && event.stopPropagation())">"""
+)
 
 
 def serve(
@@ -128,6 +133,7 @@ class _Page:
         panel = gui.add_panel()
         with panel.add_tab(self.panel.TITLE):
             self.status = self.panel.results()
+            gui.add_html(_KEEP_ARROWS)
         panel.dock_left()
         panel.set_width(320)
         self._say("computing the eye's tables …")

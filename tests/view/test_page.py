@@ -96,7 +96,7 @@ def browser():
             yield found
             found.close()
             return
-        # Of half a gigabyte, which not everyone who runs the tests wants; CI installs it.
+        # Of half a gigabyte, which not everyone who runs the tests wants.
         pytest.skip("no Chromium: python -m playwright install --with-deps chromium")
 
 
@@ -239,6 +239,10 @@ def test_page(browser, address):
     slider.press("End")  # all the eumelanin there is
     dark = becomes(lambda value: value < 0.8 * light)
     assert dark < 0.8 * light, (light, dark)
+    slider.press("ArrowLeft", delay=300)  # moves the slider, and not the camera
+    assert float(slider.get_attribute("aria-valuenow")) < 1.0
+    time.sleep(1.0)
+    page.get_by_text("camera 0° off axis").wait_for(timeout=5_000)
     middle = [box[name] + box[size] / 2 for name, size in (("x", "width"), ("y", "height"))]
     page.mouse.move(*middle)
     page.mouse.down()
