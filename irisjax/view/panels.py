@@ -45,6 +45,7 @@ SLIDERS: dict[str, dict[str, tuple[str, float, float, float, str]]] = {
 LOGARITHMIC = "eumelanin", "pheomelanin"
 """Settings whose sliders show their decadic logarithm."""
 ORBIT = 2.5  # of viser's camera, in units of its own
+_UPRIGHT = 0.8  # width over height of a viewport
 BLACK = 16  # round the picture
 UP, DOWN = "up", "down"
 MIXTURE = "back to the mixture"
@@ -216,11 +217,13 @@ class CoatsPanel:
 
 
 def framed(picture: np.ndarray, aspect: float) -> np.ndarray:
-    """The picture amid black of the viewport's aspect: viser stretches its background."""
+    """The picture amid black of the viewport's aspect: viser stretches its background. On a
+    telephone held upright it is at the top, where viser's panel does not hide it.
+    """
     height, width = picture.shape[:2]
     wide, high = max(width, round(height * aspect)), max(height, round(width / aspect))
     framed = np.full((high, wide, 3), BLACK, np.uint8)
-    top, left = (high - height) // 2, (wide - width) // 2
+    top, left = (high - height) // 2 if aspect > _UPRIGHT else 0, (wide - width) // 2
     framed[top : top + height, left : left + width] = picture
     return framed
 
