@@ -133,6 +133,10 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
         check_is_folder(folder / name)
     # Wrong options are refused before the work.
     change_scene(Scene(Iris()), picture.light, picture.size, picture.camera)
+    environment = None
+    if picture.environment is not None:
+        with jax.enable_x64(False):  # as the picture is drawn
+            environment = find_environment(picture.environment)
     recipe, scans, files, messages = _prepare(subject, picture.texels, folder)
     # Single precision takes half the memory, for the same picture to a few levels of 255.
     jax.config.update("jax_enable_x64", False)
@@ -141,8 +145,7 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
         painting = painted(recipe.coats, recipe.mixer(), eye, size=picture.texels, scans=scans)
     scene = studio(painting, eye)
     scene = change_scene(scene, picture.light, picture.size, picture.camera)
-    if picture.environment is not None:
-        environment = find_environment(picture.environment)
+    if environment is not None:
         scene = scene.replace(
             environment=environment, lights=scene.lights if picture.light else None
         )
