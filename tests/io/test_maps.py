@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from irisjax import io
-from irisjax.grow.presets import preset
+from irisjax.grow import presets
 from irisjax.io.maps import MAP_NAMES
 from irisjax.io.scenes import read_scene
 from irisjax.tissue.maps import IrisMaps
@@ -59,7 +59,9 @@ def test_no_maps_are_no_file(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_scene_takes_its_maps_from_a_file(tmp_path):
+def test_scene_takes_its_maps_from_a_file(tmp_path, monkeypatch):
+    # A preset grows maps too, which are not used.
+    monkeypatch.setattr(presets, "procedural", lambda *_, **__: IrisMaps())
     (tmp_path / "deep").mkdir()
     io.write_maps(tmp_path / "deep" / "m.exr", IrisMaps(**drawn("relief", "freckles")))
     text = '[iris]\npreset = "blue"\n[maps]\nseed = 4\nfile = "deep/m.exr"\n[eye]\nsclera = false'
@@ -67,18 +69,19 @@ def test_scene_takes_its_maps_from_a_file(tmp_path):
     scene = read_scene(tmp_path / "scene.toml").scene()  # the path is the scene file's neighbour
     assert scene.maps is not None and set(scene.maps.present()) == {"relief", "freckles"}
     np.testing.assert_array_equal(np.asarray(scene.maps.relief), drawn("relief")["relief"])
-    own, _ = preset("blue", shape=(16, 8), key=jax.random.key(0))
+    own, _ = presets.preset("blue", key=jax.random.key(0))
     assert eqx.tree_equal(scene.iris, own)
 
 
 def test_scene_of_a_clone_has_its_residual_unless_told_not_to(tmp_path):
     residual = np.full((*SHAPE, 3), 1.5, np.float32)
     io.write_maps(tmp_path / "m.exr", IrisMaps(**drawn("relief"), residual=residual))
-    (tmp_path / "scene.toml").write_text('[maps]\nfile = "m.exr"\n')
+    text = '[eye]\nsclera = false\n[maps]\nfile = "m.exr"\n'
+    (tmp_path / "scene.toml").write_text(text)
     file = read_scene(tmp_path / "scene.toml")
     np.testing.assert_array_equal(np.asarray(file.scene().maps.residual), residual)
     assert set(file.with_entries("maps", residual=False).scene().maps.present()) == {"relief"}
-    (tmp_path / "scene.toml").write_text('[maps]\nfile = "m.exr"\nresidual = false\n')
+    (tmp_path / "scene.toml").write_text(text + "residual = false\n")
     assert read_scene(tmp_path / "scene.toml").scene().maps.residual is None
 
 
