@@ -21,7 +21,7 @@ from irisjax.render.shading import incident_flux
 from irisjax.tissue.diffusion import diffuse_reflectance
 from render.small_scenes import LIGHT, QUICK
 
-BARE = ij.Eye(cornea=ij.Cornea(posterior=None, scatter=None))
+BARE = ij.Eye(cornea=ij.Cornea(scatter=None))
 EYE = BARE.replace(lids=lids(BARE, texels=64, key=jax.random.key(2)))
 CAMERA = ij.Camera(size=(32, 24), width=30.0)
 
