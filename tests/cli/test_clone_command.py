@@ -3,11 +3,9 @@
 import csv
 import json
 from functools import partial
-from math import ceil
 from pathlib import Path
 from types import SimpleNamespace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image
@@ -23,7 +21,6 @@ from irisjax.photo.doubts import doubts_of
 from irisjax.photo.outlines import Boundaries
 from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pigments import FREE_NAMES, PRIORS, PigmentFit, PigmentPosterior
-from irisjax.photo.pose import Pose
 from irisjax.photo.texture import follow_refraction
 from irisjax.photo.thickness import Morphology
 from irisjax.photo.windows import Windows
@@ -131,22 +128,6 @@ def test_what_is_before_a_failed_stage_is_written(
     def no_light(*_):
         raise ValueError("only 3 windows of the iris are free")
 
-    def pose(limbus, pupil, eye, *, focal_px, **_):
-        """The true one; its search has tests of its own."""
-        (x, y), (radius, _) = limbus.centre, limbus.semi_axes
-        half = ceil(1.15 * radius)
-        seen, size, own = truth["camera"], 2 * half + 1, truth["eye"]["pupil_radius"]
-        assert focal_px == pytest.approx(seen["focal_px"], abs=1e-3)
-        width, tilt = size * 5.5 / radius, seen["polar"]
-        numbers = (tilt, seen["azimuth"], seen["distance"], width)
-        corner = round(x) - half, round(y) - half
-        eye = eye.replace(pupil_radius=own, pupil_centre=jnp.zeros(2))
-        camera = ij.Camera(*numbers, size=(size, size))
-        interval = tilt - 0.1, tilt + 0.1
-        return Pose(
-            camera, corner, eye, (0.0, 0.0), own, tilt, 0.05, interval, seen["distance"], "pupil"
-        )
-
     pose_eye, posed = cloning.pose_eye, []
 
     def pose_once(*given):
@@ -154,7 +135,6 @@ def test_what_is_before_a_failed_stage_is_written(
             posed.append(pose_eye(*given))
         return posed[0]
 
-    monkeypatch.setattr(cloning, "find_pose", pose)
     monkeypatch.setattr(cloning, "pose_eye", pose_once)
     monkeypatch.setattr(texture, "TEXTURE_SIZE", 256)
     monkeypatch.setattr(cloning, "follow_refraction", partial(follow_refraction, size=256))
@@ -173,9 +153,9 @@ def test_what_is_before_a_failed_stage_is_written(
     found = _summary(folder)
     assert set(found) >= SUMMARY | POSED | {"stroma_thickness_mm", "visible_share"}
     assert any("only 3 windows" in doubt for doubt in found["doubts"]["model"])
-    assert found["tilt_deg"] == pytest.approx(30)
-    assert found["distance_mm"] == pytest.approx(truth["camera"]["distance"])
-    assert found["pupil_radius_mm"] == pytest.approx(truth["eye"]["pupil_radius"])
+    assert found["tilt_deg"] == pytest.approx(30, abs=1)
+    assert found["distance_mm"] == pytest.approx(truth["camera"]["distance"], rel=0.03)
+    assert found["pupil_radius_mm"] == pytest.approx(truth["eye"]["pupil_radius"], abs=0.02)
     visible = np.asarray(Image.open(folder / "visible.png"))[..., 0] > 127
     assert visible.any() and not visible[:, :125].any() and not visible[132:].any()
     picture = np.asarray(Image.open(folder / "unrefracted.png"))
