@@ -29,7 +29,9 @@ from irisjax.tissue import FRACTIONS
 
 MELANIN = (("high", 1.008, 0.2674), ("moderate", 0.8138, 0.2054), ("low", 0.1201, 0.0194))
 STOPS = 3
-"""By how much LB06's irides, which send back 1 to 5 % of the light, are exposed above the white."""
+"""LB06's irides, which send back 1 to 5 % of the light, are exposed by so many stops more than the
+white of the eye.
+"""
 GRAZING = 1.7
 """Polar angle of the light of a caustic, radians."""
 CONCENTRATIONS = dict(zip(FRACTIONS, (7.56, 5.84, 4.61, 2.11), strict=True))
@@ -58,8 +60,8 @@ def main(key, quick=False, out=RESULTS):
             out / f"{name}.png", encoded, remark=f"simulated by irisjax, exposure {exposure:.3g}"
         )
 
-    # Exposed for the white of the eye, also where it is not drawn.
     def exposure(scene):
+        """The exposure for the white of the eye, also of a scene that does not show it."""
         return exposure_of_white(scene.replace(eye=close))
 
     # LB06 Fig. 9: rows 20, 50 and 80 % of the melanin in the ABL, columns from high to low.

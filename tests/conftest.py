@@ -14,8 +14,8 @@ gc.disable()  # until all is imported, of which next to nothing is garbage
 
 # The command would otherwise use the user's own cache.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", "")
-# Each worker has a core to itself, matrices and programs are small: threads would wait for each
-# other, which cost a fifth of the time of all tests. XLA reads NPROC.
+# Each worker has a core to itself, and matrices and programs are small: several threads would wait
+# for each other, which took a fifth of the time of all tests. XLA reads NPROC.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("NPROC", "1")
 
@@ -278,7 +278,7 @@ def pytest_addoption(parser, pluginmanager):
 
 def pytest_sessionfinish(session):
     """A worker of pytest-xdist sends its numbers to the process that prints them."""
-    gc.freeze()  # or pytest looks through all that is left, for ten seconds
+    gc.freeze()  # otherwise pytest looks through all that is left for ten seconds
     if hasattr(session.config, "workeroutput"):
         session.config.workeroutput["programs"] = dict(_counts)
 

@@ -133,10 +133,9 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
         check_is_folder(folder / name)
     # Wrong options are refused before the work.
     change_scene(Scene(Iris()), picture.light, picture.size, picture.camera)
-    environment = None
-    if picture.environment is not None:
-        with jax.enable_x64(False):  # as the picture is drawn
-            environment = find_environment(picture.environment)
+    around = picture.environment
+    with jax.enable_x64(False):  # as the picture is drawn
+        environment = None if around is None else find_environment(around)
     recipe, scans, files, messages = _prepare(subject, picture.texels, folder)
     # Single precision takes half the memory, for the same picture to a few levels of 255.
     jax.config.update("jax_enable_x64", False)

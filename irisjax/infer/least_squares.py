@@ -268,7 +268,7 @@ def _search(function, args, solver, weights, max_steps, x):
         end = optx.least_squares(
             function, solver, x, (weight, args), has_aux=True, max_steps=max_steps, throw=False
         )
-        # What the solver returns beside the value is of the point before; its state is of this one.
+        # optimistix returns the aux of the point before; its state holds that of the value.
         return end.value, (end.state.aux, end.stats["num_steps"], end.result)
 
     _, (ends, steps, results) = jax.lax.scan(at_weight, x, weights)

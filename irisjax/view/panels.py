@@ -45,7 +45,7 @@ SLIDERS: dict[str, dict[str, tuple[str, float, float, float, str]]] = {
 LOGARITHMIC = "eumelanin", "pheomelanin"
 """Settings whose sliders show their decadic logarithm."""
 ORBIT = 2.5  # of viser's camera, in units of its own
-_UPRIGHT = 0.8  # width over height of a viewport
+_UPRIGHT = 0.8  # largest width over height of an upright screen
 BLACK = 16  # round the picture
 UP, DOWN = "up", "down"
 MIXTURE = "back to the mixture"

@@ -38,7 +38,7 @@ _REST = 0.25  # s without a change before the fine picture replaces the draft
 _PATIENCE = 0.3  # s that other pigments may take without a draft
 _MOST_STEPS = 100  # that can be undone
 _SCENE = "scene.toml"
-# viser turns its camera by the arrow keys, also by those that move a slider: they end below it.
+# viser turns its camera by every arrow key on the page; one that moves a slider is not passed on.
 _KEEP_ARROWS = (
     """<img src="data:," style="display:none" onerror="document.body.addEventListener('keydown', """
     """event => event.target.closest('[role=slider]') && event.stopPropagation())">"""

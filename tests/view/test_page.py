@@ -18,12 +18,20 @@ import numpy as np
 import pytest
 
 from irisjax.io.clone_folders import PHOTOGRAPH, encode_photograph
-from irisjax.view import Studio, server
+from irisjax.view import Studio, panels, server
 
 
 def test_says_what_is_missing(monkeypatch, complaint):
     monkeypatch.setitem(sys.modules, "viser", None)
     assert "pip install 'irisjax[view]'" in complaint("--preset", "blue")
+
+
+@pytest.mark.parametrize(("aspect", "top"), [(0.5, 0), (1.0, 2)], ids=["telephone", "window"])
+def test_a_picture_is_above_the_panel_of_a_telephone(aspect, top):
+    framed = panels.framed(np.full((12, 16, 3), 255, np.uint8), aspect)
+    rows = np.flatnonzero((framed == 255).all((1, 2)))
+    assert framed.shape[1] / framed.shape[0] == aspect
+    assert (rows[0], rows[-1]) == (top, top + 11)
 
 
 @pytest.mark.peer
@@ -96,7 +104,7 @@ def browser():
             yield found
             found.close()
             return
-        # Of half a gigabyte, which not everyone who runs the tests wants.
+        # Chromium takes half a gigabyte, which not everyone who runs the tests wants.
         pytest.skip("no Chromium: python -m playwright install --with-deps chromium")
 
 
