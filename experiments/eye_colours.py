@@ -60,12 +60,14 @@ BLOODLESS = {"blue": 0.04}
 """Usual haemoglobin, mmol/l, of colours whose thick cords would be pink with more."""
 INSIDE = ((-0.75, 0.75), (-0.85, 0.85), (-0.85, 0.85))
 """Standard deviations of L*, a* and b* within which a colour is as good as the mean."""
-OWN = {  # the same, of two that would else look alike, and of one whose spread is small
-    "blue": ((-0.75, 0.75), (-0.9, 0.85), (-0.85, 0.7)),
+OWN = {  # the same, of those that would else look alike, and of one whose spread is small
+    "blue": ((-0.75, 0.75), (-0.92, 0.85), (-0.85, 0.65)),
     "grey": ((-0.75, 0.75), (-0.5, 0.5), (-0.2, 0.5)),
     "hazel": ((-0.75, 0.4), (-0.7, 0.7), (-0.85, 0.5)),
+    "brown": ((-0.75, 0.75), (-0.85, 0.85), (0.1, 0.85)),
+    "dark-brown": ((-0.75, 0.75), (-0.4, 0.85), (0.0, 0.85)),
 }
-OVER_WHITE = 0.11, 0.33
+OVER_WHITE = 0.108, 0.33
 """Luminance over the white's within which the same holds."""
 STIFF = 60.0  # weight of a standard deviation, or of a fifth of that luminance, beyond these
 STARTS = (2.0, -1.0), (3.4, 0.0), (3.4, -3.0)  # ln of scattering, of eumelanin's excess

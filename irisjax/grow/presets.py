@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
+import jax
+
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.procedural import procedural
@@ -31,24 +33,24 @@ brown below brown's mean.
 _FIELDS = "eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "scattering_scale"
 _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red an iris.
-_THICKNESS = {"hazel": 0.35, "amber": 0.45, "brown": 0.35}
+_THICKNESS = {"hazel": 0.35, "amber": 0.55, "brown": 0.35}
 _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.0597, 0.0144, 0.253, 0.22, 8.11), (0.0474, 0.0213, 0.181, 0.155, 15.1)),
-    "grey": ((0.0948, 0.032, 0.525, 0.14, 10.7), (0.103, 0.0306, 0.507, 0.0902, 27.5)),
-    "green": ((0.00741, 0.494, 0.98, 0.0145, 17.3), (0.0263, 0.682, 0.969, 0.0304, 29.4)),
-    "hazel": ((0.44, 0.586, 0.684, 0.264, 34.7), (0.181, 0.787, 0.57, 0.197, 32.5)),
-    "amber": ((0.0603, 0.797, 0.571, 0.239, 40.0), (0.0209, 0.738, 0.836, 0.0951, 38.1)),
-    "brown": ((0.203, 1.13, 0.733, 0.381, 38.3), (0.211, 0.605, 0.737, 0.289, 35.1)),
-    "dark-brown": ((1.31, 0.335, 0.471, 0.0801, 28.9), (0.839, 0.299, 0.461, 0.114, 31.5)),
+    "blue": ((0.0468, 0.00397, 0.161, 0.223, 8.32), (0.137, 0.0103, 0.0228, 0.15, 16)),
+    "grey": ((0.0807, 0.035, 0.517, 0.143, 12.3), (0.105, 0.0313, 0.514, 0.0946, 26.8)),
+    "green": ((0.00614, 0.502, 0.98, 0.0117, 17.2), (0.0242, 0.672, 0.98, 0.0265, 31.2)),
+    "hazel": ((0.412, 0.591, 0.741, 0.264, 35.5), (0.163, 0.82, 0.587, 0.188, 33.3)),
+    "amber": ((0.0175, 0.543, 0.725, 0.236, 40), (0.0304, 0.631, 0.804, 0.0791, 37.8)),
+    "brown": ((0.171, 1.05, 0.79, 0.419, 39.7), (0.154, 0.712, 0.784, 0.276, 36.4)),
+    "dark-brown": ((0.903, 0.425, 0.488, 0.297, 32.4), (0.443, 0.343, 0.807, 0.193, 34.4)),
 }
 _FEATURES: dict[str, dict[str, Any]] = {
-    "blue": {"crypts": 9, "patches": 0.5, "furrows": 2, "clouds": 0.4, "collarette": 1.0},
-    "grey": {"patches": 0.8, "crypts": 18, "collarette": 1.4, "looseness": 0.7, "clouds": 0.4},
+    "blue": {"crypts": 9, "patches": 0.5, "furrows": 2, "looseness": 0.4},
+    "grey": {"patches": 0.8, "crypts": 18, "looseness": 0.8, "fibres": 1.6},
     "green": {"amber": 1.5, "heterochromia": 2.0, "patches": 0.8, "crypts": 18, "abl": 0.5},
-    "hazel": {"heterochromia": 2.5, "patches": 0.5, "abl": 0.9, "freckles": 4, "crypts": 8},
-    "amber": {"heterochromia": 0.5, "patches": 0.9, "abl": 0.6, "crypts": 5, "looseness": 0.2},
-    "brown": {"abl": 0.6, "patches": 0.8, "crypts": 7, "furrows": 6},
-    "dark-brown": {"abl": 0.6, "patches": 0.6, "crypts": 5, "furrows": 7, "looseness": 0.2},
+    "hazel": {"heterochromia": 2.5, "patches": 0.7, "abl": 0.9, "freckles": 4, "crypts": 8},
+    "amber": {"heterochromia": 0.5, "patches": 1.0, "abl": 0.6, "crypts": 5, "looseness": 0.2},
+    "brown": {"abl": 0.6, "patches": 1.0, "crypts": 7, "furrows": 6, "fibres": 1.0},
+    "dark-brown": {"abl": 0.6, "patches": 0.8, "crypts": 5, "furrows": 7, "fibres": 1.0},
 }
 
 
@@ -70,14 +72,14 @@ def preset(
     and with the preset's maps, in the colour of photographed irides within one standard deviation
     (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Of all such
     values it chooses the pigments nearest to usual ones and the weakest scattering: 8 to 40 times
-    LB06's by ILIT and 15 to 38 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
-    other soft tissues have. Hazel, brown and amber also need a stroma of 0.35, 0.35 and 0.45 mm.
+    LB06's by ILIT and 16 to 38 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
+    other soft tissues have. Hazel, brown and amber also need a stroma of 0.35, 0.35 and 0.55 mm.
     Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
     Exp. Eye Res. 67, 293]. The redness of photographed irides requires more blood than LB06's 0.084
-    mmol/l, at most 0.381, a sixth of pure blood; its saturation is 0.95, as in the choroid, since a
-    saturation of 0.5 would require twice as much blood. Fibrils have LB06's radius, which has the
-    same effect as the strength. Hazel and green eyes are browner near the pupil, where their maps
-    add eumelanin.
+    mmol/l, at most 0.419, less than a fifth of pure blood; its saturation is 0.95, as in the
+    choroid, since a saturation of 0.5 would require twice as much blood. Fibrils have LB06's
+    radius, which has the same effect as the strength. Hazel and green eyes are browner near the
+    pupil, where their maps add eumelanin.
 
     Args:
         colour: Name of the colour.
@@ -101,9 +103,11 @@ def preset(
     fields |= {"saturation": _SATURATION, "stroma_thickness": thickness}
     iris = Iris().replace(**fields).replace(**dict(pigments or {}))
     # A share of the thickness, so that the relief is as high in a thicker stroma.
-    relief = 0.1 * 0.2855 / thickness
-    arguments: dict[str, Any] = {"relief": relief, "fibres": 1.5, "clouds": 0.6, "collarette": 0.6}
+    relief = 0.28 * 0.2855 / thickness
+    arguments: dict[str, Any] = {"relief": relief, "fibres": 1.2, "clouds": 0.8, "collarette": 1.0}
     arguments |= _FEATURES.get(colour, {}) | dict(features or {})
+    # Presets of one key have patterns of their own.
+    key = jax.random.fold_in(key, list(_PIGMENTS).index(colour))
     return iris, procedural(iris, eye, shape=shape, **arguments, key=key)
 
 

@@ -37,7 +37,7 @@ from irisjax.tissue.maps import IrisMaps, cell_centres
 IPE_THICKNESS = 0.07
 """Thickness of the iris pigment epithelium, mm, which ultrasound includes  [F09 Section 3]."""
 COLLARETTE = 0.30  # mean radius of the collarette between the pupil's edge (0) and the root (1)
-STROMA, ABL, MELANIN = (0.1, 1.7), (0.5, 1.6), (0.4, 2.5)
+STROMA, ABL, MELANIN = (0.2, 2.0), (0.5, 1.6), (0.4, 2.5)
 """Ranges of maps relative to their means: wider ones cost the renderer's tables accuracy."""
 FURROW_HEIGHT = 0.025  # height of a contraction furrow's crest, mm
 PUPIL_AT_REST = 1.9
@@ -143,7 +143,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     seeds = jax.vmap(lambda i: bits(fold_in(key, i), dtype=jnp.uint32))(jnp.arange(6))
     fibres, wreath, crypts, furrows, freckles, slow = seeds
     # One program for all slow fields: bends of the cords, and clouds of pigment and of tissue.
-    kinds = (9, 2, 3), (3, 1, 2), (7, 3, 4), (22, 9, 4), (36, 13, 2), (48, 24, 3), (6, 2, 2)
+    kinds = (9, 2, 3), (3, 1, 2), (7, 3, 4), (22, 9, 4), (36, 13, 2), (90, 28, 3), (6, 2, 2)
     fields = noise_fields(slow, turns, radius, (*kinds, (5, 2, 2)))
     bend, wide, cloud, mist, arc, wool, blur, openness = fields
     root_radius = eye.iris_radius
@@ -179,7 +179,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     opening *= jnp.minimum(1.0, 1.3 / compression)  # a wide pupil closes them
     contrast = amounts["fibres"] * focus
     # Logarithms of the stroma's thickness: `surface` rises towards the cornea, `inner` lies below.
-    inner = contrast * ((0.5 + 0.7 * opening) * mesh + 0.2 * wool + 0.3 * streak + 0.4 * root)
+    inner = contrast * ((0.5 + 0.7 * opening) * mesh + 0.5 * wool + 0.3 * streak + 0.4 * root)
     upper = (0.9 + 0.8 * outside) * (cords - 0.3) + 0.8 * outside * looseness * (bundle - 0.3)
     surface = contrast * upper
     surface -= 0.6 * amounts["fibres"] * (1 - focus)  # as thick as between the cords
@@ -194,7 +194,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
     stroma *= thickening * jnp.exp(surface + inner)
     mottling = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * (cords - 0.3)
-    abl = thickening * jnp.maximum(1 + amounts["abl"] * mottling, 0.0)
+    abl = thickening * jnp.exp(amounts["abl"] * mottling)
     abl = _limit_range(abl, distance, mean_abl, ABL)
     height = mean_stroma * _soften(jnp.tanh(surface))
     height += jnp.where(amounts["abl"] > 0, abl - mean_abl, 0.0)
@@ -240,21 +240,26 @@ def _soften(height: NoiseField) -> NoiseField:
     return height
 
 
-def _scale_to_mean(values, distance, mean) -> NoiseField:
-    """Scale to an area mean; texels cover areas in proportion to their distance from the axis."""
-    return values * (mean * jnp.sum(distance) / jnp.sum(values * distance))
-
-
 def _limit_range(values, distance, mean, limits: tuple[float, float]) -> NoiseField:
-    """Scale to an area mean, and limit the values to a range relative to it.
+    """Scale positive values to an area mean, and compress them smoothly to a range relative to it:
+    its ends are approached and not reached, so that thick and thin tissue keeps its fibres.
 
-    They are compressed towards the upper end, so that thick tissue keeps its fibres. Clipped tails
-    shift the mean, and the final scaling leaves the range by as much.
+    Texels cover areas in proportion to their distance from the axis.
     """
     low, high = limits
-    relative = _scale_to_mean(values, distance, 1.0)
-    relative = _scale_to_mean(relative / jnp.sqrt(1 + (relative / high) ** 2), distance, 1.0)
-    return _scale_to_mean(jnp.clip(relative, low, high) * mean, distance, mean)
+    reach = math.log(high / low)
+    logs, weights = jnp.log(jnp.maximum(values, 1e-9)), distance / jnp.sum(distance)
+
+    def compress(shift):  # ratios are kept in the middle of the range
+        return low * jnp.exp(reach * jax.nn.sigmoid(4 / reach * (logs + shift)))
+
+    def balance(_, shift):
+        relative, slope = jax.jvp(compress, (shift,), (jnp.ones_like(shift),))
+        step = (1 - jnp.sum(weights * relative)) / jnp.sum(weights * slope)
+        return shift + jnp.clip(step, -1.0, 1.0)
+
+    relative = compress(jax.lax.fori_loop(0, 16, balance, jnp.zeros((), logs.dtype)))
+    return relative * (mean / jnp.sum(weights * relative))
 
 
 def _strands(seed: Seed, turns, radius, count: int, sway: Scalar) -> NoiseField:
@@ -291,9 +296,10 @@ def _fibres(
         for streaks along both; and noise for slits.
     """
     cord_seed, field_seed = split_seed(seed, 2)
-    around, along = (19, 41, 89, 167, 61, 71, 139, 157, 90, 90), (1, 1, 2, 2, 3, 3, 4, 4, 2, 1)
+    around = 19, 41, 89, 167, 239, 61, 71, 139, 157, 90, 90
+    along = 1, 1, 2, 2, 2, 3, 3, 4, 4, 2, 1
     kinds = [(min(n, angles // 4), m) for n, m in zip(around, along, strict=True)]
-    leaning = jnp.asarray([0.0, 0.2, -0.2, 0.0, 1.0, -1.0, 1.0, -1.0, 0.0, 0.0], radius.dtype)
+    leaning = jnp.asarray([0.0, 0.2, -0.2, 0.0, 0.2, 1.0, -1.0, 1.0, -1.0, 0.0, 0.0], radius.dtype)
     table = jnp.stack(split_seed(field_seed, len(kinds))), *jnp.asarray(kinds).T, leaning
 
     def ridge_noise(kind):
@@ -311,13 +317,13 @@ def _fibres(
         mean = ridge.mean()
         ridges.append(mean + smoothstep(capacity / n - 0.5) * (ridge - mean))
     upper, gathering = 0.0, 1.0
-    for ridge, height in zip(ridges[:4], (0.3, 0.4, 0.5, 0.4), strict=True):
+    for ridge, height in zip(ridges[:5], (0.15, 0.25, 0.5, 0.6, 0.6), strict=True):
         upper += height * gathering * ridge
         gathering = 0.35 + ridge
     cords = jnp.maximum(
-        upper, _strands(cord_seed, turns, radius, min(59, angles // 5), 0.8 * compression)
+        upper, _strands(cord_seed, turns, radius, min(113, angles // 5), 0.8 * compression)
     )
-    lower = sum(ridges[4:])
+    lower = sum(ridges[5:])
     return cords, lower - jnp.mean(lower), streak, gap
 
 
@@ -442,6 +448,7 @@ def _freckles(seed: Seed, turns, distance, eye: Eye, ragged, count: Count) -> No
         middle = eye.from_axis(0.15 + 0.75 * b)
         across = 2 * jnp.pi * ((turns - a + 0.5) % 1.0 - 0.5) * middle
         away = jnp.sqrt(across**2 + (distance - middle) ** 2) / (0.05 * 5.0 ** (c**2))
-        return jnp.maximum(cover, (0.3 + 0.7 * d) * smoothstep(1.4 - 0.9 * away + 0.8 * ragged))
+        shape = smoothstep(1.4 - 0.9 * away + 0.8 * ragged) ** 2
+        return jnp.maximum(cover, (0.3 + 0.7 * d) * shape)
 
     return jax.lax.fori_loop(0, count, spot, jnp.zeros_like(distance))

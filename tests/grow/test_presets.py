@@ -30,6 +30,12 @@ def test_presets_are_what_the_experiment_found():
             np.testing.assert_allclose(iris[name], float(row[name]), rtol=1e-6, err_msg=str(row))
 
 
+def test_presets_of_one_key_have_patterns_of_their_own():
+    maps = [PRESETS[n](shape=(96, 32), key=jax.random.key(0))[1] for n in ("blue", "grey")]
+    one, other = (np.log(m.stroma_depth) - np.log(m.stroma_depth).mean(0) for m in maps)
+    assert abs(np.corrcoef(one.ravel(), other.ravel())[0, 1]) < 0.2
+
+
 SIDE, WIDTH = 128, 13.0  # of the picture, pixels and mm
 
 

@@ -51,6 +51,13 @@ def test_area_means_are_those_of_the_iris(everything, name):
     np.testing.assert_allclose(mean, expected, rtol=1e-12)
 
 
+@pytest.mark.parametrize("name", ["stroma_depth", "abl_depth", "eumelanin"])
+def test_thick_and_thin_tissue_keeps_its_fibres(everything, name):
+    found = np.sort(np.asarray(getattr(everything, name)).ravel())
+    low, middle, high = np.ptp(found.reshape(16, -1)[[0, 8, -1]], axis=1)
+    assert min(low, high) > 0.2 * middle > 0  # no plateau at the ends of the range
+
+
 def test_a_wider_pupil_presses_the_same_tissue_together(everything):
     """Volumes by circles' areas; the rest against what stretched maps would show."""
     narrow, wide = (
