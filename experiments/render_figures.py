@@ -36,7 +36,7 @@ GRAZING = 1.7
 """Polar angle of the light of a caustic, radians."""
 CONCENTRATIONS = dict(zip(FRACTIONS, (7.56, 5.84, 4.61, 2.11), strict=True))
 """Melanins of F09's Fig. 1, in per cent of volume."""
-SMOOTH = {"crypts": 0, "furrows": 0}
+SMOOTH = {"crypts": 0, "furrows": 0, "relief": 0.08}
 """Features of irides on which a caustic is the brightest thing."""
 
 
