@@ -41,14 +41,16 @@ def lids(eye: Eye, *, texels: int = 1024, key: PRNGKey, **fields: Any) -> Lids:
 def _lashes(rng, lids: Lids, centre) -> np.ndarray:
     """Grow two rows of lashes on the upper lid and one on the lower: points and radii of each."""
     rows = [(True, 80), (True, 70), (False, 60)]
-    count = sum(n for _, n in rows)
+    row = np.repeat(np.arange(len(rows)), [n for _, n in rows])
+    count = len(row)
     upper = np.concatenate([np.full(n, of_upper) for of_upper, n in rows])
     s = np.concatenate([np.linspace(-0.97, 0.8 if up else 0.72, n) for up, n in rows])
     s = s + rng.normal(0, 0.008, count)
     t = np.linspace(0, 1, _POINTS)
     # Neighbouring lashes lean together in tufts, whose tips meet.
     tufts = np.repeat(np.arange(count), rng.integers(1, 5, count))[:count]
-    middle = (np.bincount(tufts, s) / np.maximum(np.bincount(tufts), 1))[tufts]
+    _, tufts = np.unique(tufts * len(rows) + row, return_inverse=True)  # none in two rows
+    middle = (np.bincount(tufts, s) / np.bincount(tufts))[tufts]
     lean = rng.normal(0, 0.1, count)[tufts] + 1.1 * (middle - s)
     outward = s * lids.nose * np.where(s < 0, 1.3, 0.7) * np.where(upper, 0.55, 0.4)
     fan = outward + lean + rng.normal(0, 0.04, count)

@@ -35,11 +35,11 @@ _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red an iris.
 _THICKNESS = {"hazel": 0.35, "amber": 0.55, "brown": 0.35}
 _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.0468, 0.00397, 0.161, 0.223, 8.32), (0.137, 0.0103, 0.0228, 0.15, 16)),
+    "blue": ((0.0468, 0.00397, 0.161, 0.223, 8.32), (0.137, 0.0103, 0.0228, 0.15, 16.0)),
     "grey": ((0.0807, 0.035, 0.517, 0.143, 12.3), (0.105, 0.0313, 0.514, 0.0946, 26.8)),
     "green": ((0.00614, 0.502, 0.98, 0.0117, 17.2), (0.0242, 0.672, 0.98, 0.0265, 31.2)),
     "hazel": ((0.412, 0.591, 0.741, 0.264, 35.5), (0.163, 0.82, 0.587, 0.188, 33.3)),
-    "amber": ((0.0175, 0.543, 0.725, 0.236, 40), (0.0304, 0.631, 0.804, 0.0791, 37.8)),
+    "amber": ((0.0175, 0.543, 0.725, 0.236, 40.0), (0.0304, 0.631, 0.804, 0.0791, 37.8)),
     "brown": ((0.171, 1.05, 0.79, 0.419, 39.7), (0.154, 0.712, 0.784, 0.276, 36.4)),
     "dark-brown": ((0.903, 0.425, 0.488, 0.297, 32.4), (0.443, 0.343, 0.807, 0.193, 34.4)),
 }
@@ -99,11 +99,12 @@ def preset(
     check_known("eye colour", colour, sorted(_PIGMENTS))
     ilit, radiative = _PIGMENTS[colour]
     fields = dict(zip(_FIELDS, ilit if isinstance(process, Ilit) else radiative, strict=True))
-    thickness = _THICKNESS.get(colour, 0.2855)
+    usual = float(Iris().stroma_thickness)
+    thickness = _THICKNESS.get(colour, usual)
     fields |= {"saturation": _SATURATION, "stroma_thickness": thickness}
     iris = Iris().replace(**fields).replace(**dict(pigments or {}))
     # A share of the thickness, so that the relief is as high in a thicker stroma.
-    relief = 0.28 * 0.2855 / thickness
+    relief = 0.28 * usual / thickness
     arguments: dict[str, Any] = {"relief": relief, "fibres": 1.2, "clouds": 0.8, "collarette": 1.0}
     arguments |= _FEATURES.get(colour, {}) | dict(features or {})
     # Presets of one key have patterns of their own.

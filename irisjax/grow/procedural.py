@@ -14,6 +14,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optimistix as optx
 from jax.random import bits, fold_in
 from jaxtyping import Array
 
@@ -192,23 +193,24 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     inner += amounts["collarette"] * (0.9 * crests - 0.6 * pupillary)
     inner -= 2.5 * amounts["ruff"] * rim + 0.6 * opening + 0.8 * contrast * slit
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
-    stroma *= thickening * jnp.exp(surface + inner)
+    stroma = jnp.log(stroma * thickening) + surface + inner
     mottling = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * (cords - 0.3)
-    abl = thickening * jnp.exp(amounts["abl"] * mottling)
+    abl = jnp.log(thickening) + amounts["abl"] * mottling
     abl = _limit_range(abl, distance, mean_abl, ABL)
     height = mean_stroma * _soften(jnp.tanh(surface))
     height += jnp.where(amounts["abl"] > 0, abl - mean_abl, 0.0)
     reach = ring + 0.14 + 0.15 * cloud + 0.25 * streak
     zone = smoothstep((reach - ragged_radius) / 0.25 + 0.5)
-    eumelanin = 1 + amounts["heterochromia"] * zone * (1 + 0.7 * mist)
+    eumelanin = jnp.log1p(amounts["heterochromia"] * zone * (1 + 0.7 * mist))
     root = smoothstep((radius - 0.86 + 0.12 * cloud) / 0.16)
     dark = 0.8 * cloud + 0.6 * jnp.tanh(4 * wide) + 0.6 * mist + 0.5 * streak + 0.9 * root
     dark += 2.0 * rim + 3.0 * (opening + slit) - contrast * (1.5 * (cords - 0.3) + 0.4 * mesh)
     dark += amounts["collarette"] * (0.6 * pupillary - 0.8 * crests)
-    eumelanin *= jnp.exp(amounts["patches"] * dark)
+    eumelanin += amounts["patches"] * dark
     reach = ring + 0.3 + 0.2 * wide - 0.2 * cloud + 0.2 * streak
     zone = smoothstep((reach - ragged_radius) / 0.5 + 0.5)
-    pheomelanin = 1 + amounts["amber"] * zone * (1 + 0.8 * mist + 0.4 * cloud)
+    cloudy = jnp.maximum(1 + 0.8 * mist + 0.4 * cloud, 0.0)
+    pheomelanin = jnp.log1p(amounts["amber"] * zone * cloudy)
     folds = FURROW_HEIGHT * jnp.minimum(compression, 2.0) * crest
     distance_at_rest, count = eye_at_rest.from_axis(radius), amounts["freckles"]
     return {
@@ -240,26 +242,30 @@ def _soften(height: NoiseField) -> NoiseField:
     return height
 
 
-def _limit_range(values, distance, mean, limits: tuple[float, float]) -> NoiseField:
-    """Scale positive values to an area mean, and compress them smoothly to a range relative to it:
-    its ends are approached and not reached, so that thick and thin tissue keeps its fibres.
+def _limit_range(logs, distance, mean, limits: tuple[float, float]) -> NoiseField:
+    """Scale values, given by their logarithms, to an area mean, and compress them smoothly to a
+    range relative to it: its ends are approached and not reached, so that thick and thin tissue
+    keeps its fibres.
 
     Texels cover areas in proportion to their distance from the axis.
     """
     low, high = limits
     reach = math.log(high / low)
-    logs, weights = jnp.log(jnp.maximum(values, 1e-9)), distance / jnp.sum(distance)
+    weights = distance / jnp.sum(distance)
 
     def compress(shift):  # ratios are kept in the middle of the range
         return low * jnp.exp(reach * jax.nn.sigmoid(4 / reach * (logs + shift)))
 
-    def balance(_, shift):
-        relative, slope = jax.jvp(compress, (shift,), (jnp.ones_like(shift),))
-        step = (1 - jnp.sum(weights * relative)) / jnp.sum(weights * slope)
-        return shift + jnp.clip(step, -1.0, 1.0)
+    def excess(shift, _):
+        return jnp.sum(weights * compress(shift)) - 1
 
-    # Newton's method is at its limit after seven steps for logarithms spread as widely as 3.
-    relative = compress(jax.lax.fori_loop(0, 8, balance, -jnp.sum(weights * logs)))
+    ends = {"lower": -2 * reach - logs.max(), "upper": 2 * reach - logs.min()}
+    # A check that the root lies between the ends, as it does, would call Python: such a program
+    # cannot be kept. `IrisMaps` refuses values that are no numbers.
+    bisection = optx.Bisection(1e-5, 1e-5, flip=False)
+    middle = -jnp.sum(weights * logs)
+    found = optx.root_find(excess, bisection, middle, options=ends, throw=False)
+    relative = compress(found.value)
     return relative * (mean / jnp.sum(weights * relative))
 
 

@@ -6,7 +6,7 @@ import pytest
 import irisjax as ij
 from irisjax.grow.noise import noise
 from irisjax.grow.presets import preset
-from irisjax.grow.procedural import procedural, stroma_profile
+from irisjax.grow.procedural import ABL, MELANIN, STROMA, procedural, stroma_profile
 from irisjax.tissue.maps import IrisMaps
 
 SHAPE = (128, 48)
@@ -56,6 +56,17 @@ def test_thick_and_thin_tissue_keeps_its_fibres(everything, name):
     found = np.sort(np.asarray(getattr(everything, name)).ravel())
     low, middle, high = np.ptp(found.reshape(16, -1)[[0, 8, -1]], axis=1)
     assert min(low, high) > 0.2 * middle > 0  # no plateau at the ends of the range
+
+
+@pytest.mark.parametrize("feature", ["fibres", "clouds", "abl", "patches", "amber"])
+def test_features_of_any_strength_stay_in_their_ranges(feature):
+    maps = procedural(ij.Iris(), shape=(64, 24), **EXTRA | {feature: 300.0}, key=KEY)
+    limits = {"stroma_depth": STROMA, "abl_depth": ABL, "eumelanin": MELANIN}
+    for name, (low, high) in (limits | {"pheomelanin": MELANIN}).items():
+        mean = getattr(ij.Iris(), name.replace("depth", "thickness")) if "depth" in name else 1.0
+        relative = np.asarray(getattr(maps, name)) / float(mean)
+        # Ranges hold to the tolerance with which the area mean is found.
+        assert low - 1e-4 < relative.min() < relative.max() < high + 1e-4, name
 
 
 def test_a_wider_pupil_presses_the_same_tissue_together(everything):
