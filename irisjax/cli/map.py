@@ -408,7 +408,7 @@ def _posteriors(
     problem, key = settings.problem, opt.key_of(settings.seed)
     data = problem, values, fits.z, fits.z_covariance
     weighted = weighted_draws(read_flow(flow, problem), *data, each=each, key=key)
-    draws, reliable = with_chains(weighted, *data, key=key)
+    draws, reliable = with_chains(weighted, *data, each=each, key=key)
     maps = {"efficiency": weighted.efficiency}
     for name, x in reported(problem, draws.z).items():
         mean = (draws.weights * x).sum(axis=1)

@@ -30,7 +30,7 @@ from irisjax._types import PRNGKey
 from irisjax.infer.importance import Start, resample
 from irisjax.infer.observation import with_values
 from irisjax.infer.pixels import Each, fit_pixels, prior_starts
-from irisjax.infer.posterior import sample
+from irisjax.infer.posterior import Chains, sample
 from irisjax.infer.problem import Problem, predicted
 from irisjax.numerics import linear
 from irisjax.numerics.chunks import map_rows
@@ -189,21 +189,26 @@ def with_chains(
     z: Float[np.ndarray, "spectra free"],
     covariance: Float[np.ndarray, "spectra free free"],
     *,
+    each: Each = map,
     key: PRNGKey,
 ) -> tuple[Weighted, Bool[np.ndarray, " spectra"]]:
     """Replace draws of spectra of which too few are effective (`EFFICIENT`) by those of a chain,
-    unless the model does not produce such a spectrum. Takes the arguments of `weighted_draws`.
+    unless the model does not produce such a spectrum. Takes the arguments of `weighted_draws`;
+    `each` maps chains.
 
     Returns:
         The draws, and whether each spectrum's can be trusted.
     """
     draws, weights = weighted.z.copy(), weighted.weights.copy()
     valid = weighted.efficiency >= EFFICIENT
-    for i in np.flatnonzero(~valid & ~weighted.unusual):
-        target = problem.with_observations(
-            with_values(problem.observations[0], jnp.asarray(values[i]))
-        )
-        chains = sample(target, Start(z[i], covariance[i]), key=key)
+    poor = np.flatnonzero(~valid & ~weighted.unusual)
+
+    def chains_of(i: int) -> Chains:
+        observed = with_values(problem.observations[0], jnp.asarray(values[i]))
+        start = Start(z[i], covariance[i])
+        return sample(problem.with_observations(observed), start, key=key)
+
+    for i, chains in zip(poor, each(chains_of, poor), strict=True):
         index = np.linspace(0, len(chains.flat) - 1, weights.shape[1]).astype(int)
         draws[i], weights[i], valid[i] = chains.flat[index], 1 / len(index), chains.converged
     return weighted._replace(z=draws, weights=weights), valid
