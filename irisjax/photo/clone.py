@@ -73,7 +73,7 @@ STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "texels", "pos
 """Names of the stages in their order; `"pigments"` stands for `Lit` and `Fitted`."""
 MEDIA = ("cornea-aqueous", "f09", "f09-melanin", "flat")
 METHODS = ("least-squares", "simplex")
-_SOLVER_ANGLES = 12  # of ILIT during the search: radiances within 5e-5 of those of a picture
+_SOLVER_ANGLES = 8  # of ILIT during the search: the posterior's logarithm errs by 0.04
 # Degrees of the table that a search by radiative transfer uses. It errs by up to 1 % of the
 # brightest texel, while windows err by 4 % and more, and costs a quarter of a picture's table.
 SEARCHED: Mapping[str, Any] = {"degrees": (6, 3, 4, 4), "angular": (2, 2, 1)}
@@ -173,6 +173,7 @@ class Posed(Outlined):
         view: What the camera sees of the eye.
         part: Linear pixels of the camera's picture.
         clear: Pixels of `part` that show the iris and nothing in front of it.
+        reflected: Pixels of `part` in which a mirror image of the surroundings hides the iris.
         limbus: Outline of the limbus, in pixels of `part`.
         pupil: Outline of the pupil as it appears, in pixels of `part`.
         lids: Whether lids hide some of the iris.
@@ -183,6 +184,7 @@ class Posed(Outlined):
     view: View
     part: Colours
     clear: Mask
+    reflected: Mask
     limbus: Ellipse
     pupil: Ellipse
     lids: bool
@@ -274,7 +276,6 @@ class Fitted(Lit):
         """Return the scene with other maps, or without any."""
         light, room = self.lighting, self.fit.values["room"]
         marched = isinstance(self.integrator, TabulatedSingleScattering)
-        around = Environment.uniform(room) if light.room else light.environment
         camera = self.pose.camera
         if self.veil is not None:  # of a room as bright as the model's the camera sees a share
             images = self.mirrored() / max(self._bright(), 1e-9)
@@ -284,7 +285,7 @@ class Fitted(Lit):
             maps,
             eye=self.pose.eye,
             lights=light.lamps,
-            environment=around,
+            environment=light.surroundings(room),
             camera=camera,
             integrator=SingleScattering() if marched else self.integrator,
             environment_lights=light.environment_lights,
@@ -298,12 +299,14 @@ class Fitted(Lit):
         """Return the radiance of the room that the tear film mirrors in the scene's picture."""
         if self.veil is None:
             return 0.0
+        if self.lighting.wide is not None:  # which would be dimmed with it
+            return self._bright()
         return min(float((self.veil / self.exposure).mean()), self._bright())
 
     def _bright(self) -> float:
         light = self.lighting
         assert light.room or light.environment is not None
-        around = light.environment
+        around = None if light.room else light.environment
         return self.fit.values["room"] if around is None else float(around.radiance.mean())
 
 
@@ -434,7 +437,7 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
     focal = photograph.focal_px if settings.focal_px is None else settings.focal_px
     part = cut_part(photograph, boundaries.limbus)
     pupil = part.moved(boundaries.pupil)
-    clear, lids = part.clear(pupil)
+    clear, lids, mirrored = part.clear(pupil)
     focal = None if focal is None else focal / part.reduction
     eye = _eye_with(settings.media).replace(iris_depth=settings.iris_depth)
     known: dict[str, Any] = {"focal_px": focal, "azimuth": settings.azimuth}
@@ -456,7 +459,7 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
     if given.second is not None:
         second = lay_on_first(given.second, photograph, boundaries.limbus, boundaries.pupil, cut)
     known: dict[str, Any] = {"pose": pose, "view": view, "part": pixels, "clear": clear}
-    known |= {"limbus": limbus, "pupil": pupil.moved(-x, -y)}
+    known |= {"limbus": limbus, "pupil": pupil.moved(-x, -y), "reflected": mirrored[cut]}
     return Posed(**vars(outlined), **known, lids=bool(lids.any()), second=second)
 
 
@@ -500,7 +503,8 @@ def light_eye(
     """Infer the light from highlights, or take the given one, and tabulate it on the iris."""
     pose = shaped.pose
     if given.lights is None and given.environment is None:
-        light = find_lighting(shaped.part, shaped.limbus, pose, shaped.view)
+        seen = shaped.part, shaped.limbus, shaped.pupil, shaped.reflected
+        light = find_lighting(*seen, pose, shaped.view)
     else:
         count = given.environment_lights
         light = Lighting(given.lights, given.environment, environment_lights=count)
@@ -521,8 +525,9 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     clear = lit.clear & iris_alone(lit.pose)
     clear[lit.refraction.pixels(lit.freckles, clear.shape)] = False
     # The veil of a room beside lamps tells how bright it is; of one that is assumed it is no model.
-    alone = light.lamps is None and lit.veil is not None
-    pixels, around = (lit.unveiled(), None) if alone else (lit.part, light.environment)
+    alone = light.lamps is None and not light.room and lit.veil is not None
+    pixels = lit.unveiled() if alone else lit.part
+    around = None if alone or light.room else light.environment
     chosen = choose_pixels(pixels, clear, lit.view, eye, around, _light_on_part(lit))
     maps = average_maps(eye) if given.maps is None else given.maps
     depth = jnp.mean(jnp.asarray(maps.stroma_depth))

@@ -128,7 +128,7 @@ def colours_of(outlined: Outlined, *, key: PRNGKey) -> tuple[EyeColour, Part]:
         raise ValueError(f"{photograph.name}: the photograph has no colours")
     part = cut_part(photograph, outlines.limbus)
     pupil = part.moved(outlines.pupil)
-    clear, _ = part.clear(pupil)
+    clear, *_ = part.clear(pupil)
     try:
         return measure_eye_colour(part, pupil, clear, outlines.limbus_width, key=key), part
     except ValueError as error:

@@ -1,24 +1,30 @@
-"""Light of a photograph: lamps from their images on the cornea."""
+"""Light of a photograph: lamps, windows and soft boxes from their images on the cornea."""
 
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float
+from scipy import ndimage, spatial
 from skimage import measure
 
 from irisjax.anatomy.eye import Eye
 from irisjax.photo.photograph import Colours, Ellipse, Mask
 from irisjax.photo.pose import Pose
 from irisjax.photo.texture import Unrefracted, sampled
-from irisjax.render.environment import Environment
+from irisjax.render.environment import LUMINANCE, Environment, panorama_geometry
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.project import View, scatter_to_picture
+from irisjax.render.refraction import LARGEST_POLAR
 from irisjax.render.scene import ENVIRONMENT_LIGHTS
 from irisjax.render.shading import incident_flux
 
 _LEAST_AREA = 5  # pixels of a highlight
 _MOST_LAMPS = 6  # lamps
+_WIDEST_LAMP = 0.15  # angular radius of a lamp; wider ones are drawn as they are seen
+_WIDE_LIGHTS = 4  # lamps that stand for all wide lights
+_BRIGHT_IRIS, _RINGS = 0.98, 24  # quantile of the iris beside an image; its rings of one colour
+_PANORAMA_ROWS = 256  # most rows of the panorama of wide lights
 _CORNEA_RADIUS = 0.85  # of the limbus, where highlights are those of the cornea
 _CLIPPED = 0.97  # brightness above which it may be
 _CORNEAL_GAIN = 1.131**2  # gain of light from all round by the cornea: the pupil's magnification²
@@ -31,10 +37,10 @@ class Lighting(NamedTuple):
 
     Attributes:
         lamps: Lamps as in a scene; `None` if there is only an environment.
-        environment: Surroundings as in a scene.
+        environment: Surroundings as in a scene; with a `room`, the wide lights in it.
         room: Whether there may be light from all round beside them, whose radiance is fitted with
             the pigments.
-        found: Number of lamps inferred from highlights; `None` for a given light.
+        found: Number of lamps and wide lights inferred from highlights; `None` for a given light.
         environment_lights: Number of lamps that stand for the environment.
     """
 
@@ -44,60 +50,134 @@ class Lighting(NamedTuple):
     found: int | None = None
     environment_lights: int = ENVIRONMENT_LIGHTS
 
+    @property
+    def wide(self) -> Environment | None:
+        """Wide lights, such as windows and soft boxes, inferred from highlights."""
+        return self.environment if self.room else None
+
     def lights(self) -> Lights:
         """Return all of it but the room, as the lights of a scene."""
         if self.environment is None:
             assert self.lamps is not None
             return self.lamps
-        surroundings = self.environment.to_lights(self.environment_lights)
+        count = _WIDE_LIGHTS if self.room else self.environment_lights
+        surroundings = self.environment.to_lights(count)
         return surroundings if self.lamps is None else self.lamps + surroundings
 
+    def surroundings(self, room: float) -> Environment | None:
+        """Return the environment of a scene with a room of this radiance."""
+        if not self.room:
+            return self.environment
+        if self.environment is None:
+            return Environment.uniform(room)
+        return Environment(self.environment.radiance + room)
 
-def find_lighting(part: Colours, limbus: Ellipse, pose: Pose, view: View) -> Lighting:
-    """Infer lamps at infinity, in a room, from the directions that highlights of the camera's
-    picture mirror.
+
+def find_lighting(
+    part: Colours, limbus: Ellipse, pupil: Ellipse, reflected: Mask, pose: Pose, view: View
+) -> Lighting:
+    """Infer the light, in a room, from the directions that highlights of the camera's picture
+    mirror: lamps at infinity from compact ones, and windows or soft boxes from wide ones.
 
     A highlight is cut off somewhere, and reaches to half of that brightness: rounding and JPEG
-    break up what is cut off alone. The lamps share an irradiance of π in proportion to the areas of
-    their highlights. Without a highlight, uniform light from all round is assumed.
+    break up what is cut off alone. A wide light reaches as far as the mirror image that it is part
+    of, and becomes a panorama of what the photograph shows there [Nishino & Nayar 2004]; where that
+    is cut off it is brighter. Lamps and wide lights share an irradiance of π, on surfaces that face
+    them, in proportion to the light of their images. Without a highlight, uniform light from all
+    round is assumed.
 
     Args:
         part: Linear pixels of the camera's picture.
         limbus: Outline of the limbus on them: a white that is cut off lies beyond it.
+        pupil: Outline of the pupil as it appears.
+        reflected: Pixels in which a mirror image hides the iris.
         pose: Camera and eye.
         view: What the camera sees of the eye.
     """
-    film, shape, lamps_found = view.mirror, pose.camera.shape, list[tuple[Any, float]]()
-    if film is not None:
-        directions = scatter_to_picture(
-            film, np.stack([np.asarray(c) for c in film.mirror], -1), shape
-        )
-        brightness = part.max(-1)
-        middle = limbus.radii(shape) < _CORNEA_RADIUS
-        median = np.median(brightness[middle])
-        clipped = middle & (brightness > max(_CLIPPED, 4 * median))
-        glow = np.asarray(measure.label(middle & (brightness > 0.5 * (_CLIPPED + median))))
-        spots = measure.regionprops(glow, clipped.astype(float))
-        spots = [s for s in spots if s.area >= _LEAST_AREA and s.intensity_max > 0]
-        for spot in sorted(spots, key=lambda s: -s.area)[:_MOST_LAMPS]:
-            mirrored = directions[tuple(spot.coords.T)]
-            on_cornea = mirrored.any(-1)
-            if on_cornea.mean() >= 0.5:
-                lamps_found.append((mirrored[on_cornea].mean(0), spot.area))
-    if not lamps_found:
+    film, shape = view.mirror, pose.camera.shape
+    if film is None:
         return Lighting(None, Environment.uniform(), found=0)
-    (x, y, z), area = (
-        np.transpose([t for t, _ in lamps_found]),
-        np.array([a for _, a in lamps_found], float),
-    )
-    polar, azimuth = np.arctan2(np.hypot(x, y), -z), np.arctan2(y, x)
-    # The image of a lamp appears at a distance of half the cornea's radius.
-    size = np.sqrt(area / np.pi) * float(pose.camera.width) / pose.camera.size[0]
     assert pose.eye.cornea is not None
-    radius = np.clip(2 * size / float(pose.eye.cornea.anterior.radius), 0.005, 0.5)
-    numbers: list[Any] = [polar, azimuth, np.pi * area / area.sum()]
-    lamps = Lights.distant(*numbers, radius=cast(Any, radius))
-    return Lighting(lamps, room=True, found=len(lamps_found))
+    directions = scatter_to_picture(film, np.stack([np.asarray(c) for c in film.mirror], -1), shape)
+    brightness, middle = part.max(-1), limbus.radii(shape) < _CORNEA_RADIUS
+    median = np.median(brightness[middle])
+    clipped = middle & (brightness > max(_CLIPPED, 4 * median))
+    glow = middle & (brightness > 0.5 * (_CLIPPED + median))
+    spots = measure.regionprops(measure.label(glow), clipped.astype(float))
+    spots = [s for s in spots if s.area >= _LEAST_AREA and s.intensity_max > 0]
+    # The image of a lamp appears at a distance of half the cornea's radius.
+    scale = 2 * float(pose.camera.width) / pose.camera.size[0]
+    scale /= float(pose.eye.cornea.anterior.radius)
+    # The pupil is black: what shines there is mirrored.
+    image = glow | reflected | (brightness > median) & (pupil.radii(shape) < _PUPIL_CORE)
+    # The white beyond mirrors the same directions again; what is behind the eye does not light it.
+    before = middle & (-directions[..., 2] > np.cos(LARGEST_POLAR))
+    images = np.asarray(measure.label(image & before))
+    lamps, wide = list[tuple[Any, float, float]](), set[int]()
+    for spot in sorted(spots, key=lambda s: -s.area)[:_MOST_LAMPS]:
+        at = tuple(spot.coords.T)
+        lit, radius = before[at], scale * np.sqrt(spot.area / np.pi)
+        if lit.mean() < 0.5 or (number := int(images[at][lit][0])) in wide:
+            continue
+        if radius > _WIDEST_LAMP:
+            wide.add(number)
+        else:
+            lamps.append((directions[at][lit].mean(0), spot.area, max(radius, 0.005)))
+    if not lamps and not wide:
+        return Lighting(None, Environment.uniform(), found=0)
+    seen = np.isin(images, list(wide))
+    shown = np.where(seen[..., None], _image_over_iris(part, image, limbus, pupil), 0)
+    power = float((shown @ LUMINANCE).sum())
+    total = power + sum(area for _, area, _ in lamps)
+    environment, lights = None, None
+    if wide:
+        reflectance = scatter_to_picture(film, np.asarray(film.reflectance), shape)[..., None]
+        panorama = _panorama(shown / np.maximum(reflectance, 1e-6), directions, seen)
+        environment = Environment(np.pi * power / total * panorama)
+    if lamps:
+        (x, y, z), area, radius = (np.transpose(v) for v in zip(*lamps, strict=True))
+        polar, azimuth = np.arctan2(np.hypot(x, y), -z), np.arctan2(y, x)
+        numbers: list[Any] = [polar, azimuth, np.pi * area / total]
+        lights = Lights.distant(*numbers, radius=cast(Any, radius))
+    return Lighting(lights, environment, room=True, found=len(lamps) + len(wide))
+
+
+def _image_over_iris(part: Colours, image: Mask, limbus: Ellipse, pupil: Ellipse) -> np.ndarray:
+    """Estimate what a mirror image adds to the light of the iris, whose usual colour at each
+    distance from the middle is taken off; nothing where the iris itself may be as bright.
+    """
+    ring = np.minimum(limbus.radii(image.shape) * _RINGS, _RINGS - 1).astype(int)
+    inside = limbus.mask(image.shape) & (pupil.radii(image.shape) > 1)
+    bare = inside & ~image
+    if not bare.any():
+        return part
+    known = np.unique(ring[bare])
+    medians = [ndimage.median(part[..., c], np.where(bare, ring, -1), known) for c in range(3)]
+    usual = np.stack([np.interp(np.arange(_RINGS), known, m) for m in medians], -1)[ring]
+    usual[~inside] = 0
+    brightest = np.quantile(part[bare].max(-1), _BRIGHT_IRIS)
+    certain = np.clip(2 * (part.max(-1) / brightest - 1), 0, 1) if brightest > 0 else 1.0
+    certain = np.where(inside, certain, 1.0)
+    certain = certain * ndimage.binary_opening(certain > 0, np.ones((3, 3)))  # no single fibres
+    return np.maximum(part - usual, 0) * certain[..., None]
+
+
+def _panorama(
+    radiance: Float[np.ndarray, "rows columns 3"],
+    mirrored: Float[np.ndarray, "rows columns 3"],
+    seen: Mask,
+) -> Float[np.ndarray, "polar azimuth 3"]:
+    """Lay what pixels mirror into a panorama whose irradiance, on surfaces that face it, is one."""
+    near: Any = ndimage.binary_dilation(seen, iterations=2)
+    near = near & mirrored.any(-1)
+    tree = spatial.KDTree(mirrored[near])
+    pitch = np.median(tree.query(mirrored[near], 2)[0][:, 1])
+    rows = int(np.clip(np.pi / pitch, 32, _PANORAMA_ROWS))
+    direction, solid_angle = panorama_geometry(rows)
+    distance, pixel = tree.query(direction, distance_upper_bound=2 * max(pitch, np.pi / rows))
+    values = np.concatenate([radiance[near], np.zeros((1, 3))])  # the last is for none
+    panorama = np.where(np.isfinite(distance)[..., None], values[pixel], 0.0)
+    return panorama / (panorama @ LUMINANCE * solid_angle).sum()
 
 
 def find_veil(

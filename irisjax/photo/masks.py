@@ -81,22 +81,23 @@ class Part(NamedTuple):
         """Return an outline of the photograph on these pixels."""
         return outline.moved(-self.corner[0], -self.corner[1]).scaled(1 / self.reduction)
 
-    def clear(self, pupil: Ellipse) -> tuple[Mask, Mask]:
+    def clear(self, pupil: Ellipse) -> tuple[Mask, Mask, Mask]:
         """Return the pixels between a pupil (an outline on these pixels) and the limbus that show
-        the iris, no highlight, lash or lid, and the pixels within the limbus that lids cover.
+        the iris, no highlight, lash or lid; the pixels within the limbus that lids cover; and those
+        that a mirror image covers.
         """
         lids = find_lids(self.pixels, self.limbus, pupil)
         ring = self.limbus.mask(self.outside.shape) & ~pupil.mask(self.outside.shape)
-        hidden = find_highlights(self.pixels, self.saturated & ring, ring)
-        hidden |= find_reflections(self.pixels, self.limbus, pupil, ring & ~lids)
-        hidden |= lids | find_lashes(self.pixels, self.limbus, lids)
+        mirrored = find_highlights(self.pixels, self.saturated & ring, ring)
+        mirrored |= find_reflections(self.pixels, self.limbus, pupil, ring & ~lids)
+        hidden = mirrored | lids | find_lashes(self.pixels, self.limbus, lids)
         clear = ring & ~hidden & ~self.outside
         clear &= ~find_lash_shadows(self.pixels, self.limbus, lids, clear)
         # Strips between masked parts are part of these.
         narrow = _NARROW * self.limbus.semi_axes[0]
         broad = np.asarray(ndimage.distance_transform_edt(clear)) > narrow
         clear &= np.asarray(ndimage.distance_transform_edt(~broad)) < narrow + 1.5
-        return remove_islands(clear), lids
+        return remove_islands(clear), lids, mirrored
 
 
 def find_mirrored_face(

@@ -92,7 +92,7 @@ def lay_on_first(
     pixels = registration.pixels.astype(np.float32)
     registered = Photograph(pixels, ~registration.valid, second.grey)
     part = cut_part(registered, limbus)
-    clear, _ = part.clear(part.moved(pupil))
+    clear, *_ = part.clear(part.moved(pupil))
     return SecondPhotograph(registration, part.pixels[cut], clear[cut])
 
 

@@ -203,6 +203,15 @@ class Environment(eqx.Module):
         return Lights(towards, irradiance, tint, radius=radius, illuminant=illuminant)
 
 
+def panorama_geometry(
+    rows: int,
+) -> tuple[Float[np.ndarray, "rows columns 3"], Float[np.ndarray, "rows columns"]]:
+    """Return the directions to the centres of a map's texels, twice as many columns as rows, and
+    their solid angles.
+    """
+    return _directions(rows, 2 * rows), _solid_angles(rows, 2 * rows)
+
+
 def _median_cut(power: np.ndarray, n: int) -> list[tuple[slice, slice]]:
     """Divide the map into at most n boxes of texels that hold all the power, none of them empty."""
     # Shares of the power are rounded, so that of regions equal but for rounding the first is cut,

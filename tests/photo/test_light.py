@@ -14,6 +14,7 @@ from irisjax.render.lights import Lights
 from irisjax.render.project import project_visible
 
 LIMBUS = Ellipse((100.0, 100.0), (87.0, 85.0), 0.35 + np.pi / 2)
+PUPIL = Ellipse((100.0, 100.0), (35.0, 34.0), 0.35 + np.pi / 2)
 
 
 @pytest.fixture(scope="module")
@@ -22,8 +23,10 @@ def pose():
     return Pose(camera, (0, 0), Eye(), (0.0, 0.0), 2.0, 0.2, 0.01, (0.18, 0.22), None, "given")
 
 
-def _mirrored(pose, towards, radius):
-    """A picture of a lamp of some angular radius on the cornea, over a dim iris."""
+def _mirrored(pose, towards, radius, shape=None):
+    """A picture of a lamp of some angular radius on the cornea, over a dim iris; or of what has
+    another shape: a function of the directions that pixels mirror.
+    """
     seen = project_visible(pose.eye, pose.camera).mirror
     assert seen is not None
     count = pose.camera.shape[0] * pose.camera.shape[1]
@@ -33,13 +36,16 @@ def _mirrored(pose, towards, radius):
     # The white mirrors too, elsewhere.
     cornea = np.hypot(row - 100, column - 100) < 70
     picture = np.full((*pose.camera.shape, 3), 0.05)
-    bright = cornea & (mirror @ towards > np.cos(radius))
+    inside = mirror @ towards > np.cos(radius) if shape is None else shape(mirror)
+    bright = cornea & inside
     picture[row[bright], column[bright]] = 1.0
     return picture
 
 
 def _told(picture, pose):
-    return find_lighting(picture, LIMBUS, pose, project_visible(pose.eye, pose.camera))
+    reflected = (picture > 0.5).all(-1) & (LIMBUS.radii(pose.camera.shape) < 0.9)
+    view = project_visible(pose.eye, pose.camera)
+    return find_lighting(picture, LIMBUS, PUPIL, reflected, pose, view)
 
 
 def _direction(polar, azimuth):
@@ -62,7 +68,7 @@ def test_a_highlight_tells_where_its_lamp_stands(pose, polar, azimuth):
 def test_a_highlight_that_rounding_breaks_up_is_one_lamp(pose):
     """And a white that is cut off, beside the limbus, is none."""
     towards = _direction(0.3, 2.0)
-    picture = _mirrored(pose, towards, 0.15)
+    picture = _mirrored(pose, towards, 0.12)
     row, column = np.indices(pose.camera.shape)
     uneven = (picture[..., 0] > 0.5) & (((row + column) % 5 == 0) | ((row - column) % 7 == 0))
     picture[uneven] = 0.9
@@ -83,6 +89,39 @@ def test_two_lamps_share_the_light_by_their_areas(pose):
     first, second = np.asarray(lights.irradiance)
     assert first + second == pytest.approx(np.pi)
     assert first > 2 * second
+
+
+def test_a_wide_highlight_is_a_window_of_its_own_shape(pose):
+    """A window of two panes comes back with its bar, and lights the eye from where it stands."""
+    towards = _direction(0.6, 2.4)
+    right = np.cross(towards, [0.0, 1.0, 0.0])
+    right /= np.linalg.norm(right)
+    up = np.cross(right, towards)
+
+    def panes(direction):
+        x, y = direction @ right, direction @ up
+        bar = np.abs(x) < 0.06
+        return (direction @ towards > 0) & (np.abs(x) < 0.4) & (np.abs(y) < 0.25) & ~bar
+
+    light = _told(_mirrored(pose, towards, 0, panes), pose)
+    assert (light.found, light.room, light.lamps) == (2, True, None)
+    assert light.wide is not None
+    x, y = np.meshgrid(np.linspace(-0.6, 0.6, 121), np.linspace(-0.4, 0.4, 81))
+    depth = np.sqrt(1 - x**2 - y**2)
+    places = x[..., None] * right + y[..., None] * up + depth[..., None] * towards
+    shown = np.asarray(light.wide.lookup(places))[..., 1]
+    there = panes(places)
+    # Texels are 0.02 wide, and edges as soft.
+    assert (shown[there] > 0.5 * shown.max()).mean() > 0.9
+    assert (shown[~there] < 0.5 * shown.max()).mean() > 0.9
+    assert shown[(np.abs(x) < 0.03) & (np.abs(y) < 0.2)].max() < 0.5 * shown.max()
+    lights = light.lights()
+    assert float(lights.irradiance.sum()) == pytest.approx(np.pi)
+    middle = (np.asarray(lights.irradiance)[:, None] * np.asarray(lights.towards)).sum(0)
+    assert np.degrees(np.arccos(middle @ towards / np.linalg.norm(middle))) < 2
+    around = light.surroundings(0.2)
+    assert around is not None
+    assert float(around.radiance.min()) == pytest.approx(0.2)
 
 
 def test_without_a_highlight_light_comes_from_all_round(pose):
