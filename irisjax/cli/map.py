@@ -410,7 +410,7 @@ def _posteriors(
     weighted = weighted_draws(read_flow(flow, problem), *data, each=each, key=key)
     draws, reliable = with_chains(weighted, *data, each=each, key=key)
     maps = {"efficiency": weighted.efficiency}
-    for name, x in reported(problem, draws.z).items():
+    for name, x in reported(problem, draws.z, each).items():
         mean = (draws.weights * x).sum(axis=1)
         sd = np.sqrt((draws.weights * (x - mean[:, None]) ** 2).sum(axis=1))
         maps |= {f"{name}_posterior_mean": mean, f"{name}_posterior_sd": sd}

@@ -341,11 +341,13 @@ def pointwise(
 
 
 def reported(
-    problem: Problem, z: Float[np.ndarray, "*samples free"]
+    problem: Problem, z: Float[np.ndarray, "*samples free"], each: Callable[..., Any] = map
 ) -> dict[str, Float[np.ndarray, "*samples"]]:
-    """Return free and derived parameters of samples by name, in the order of `problem.free`."""
+    """Return free and derived parameters of samples by name, in the order of `problem.free`;
+    `each` is how calls are mapped.
+    """
     flat = np.asarray(z).reshape(-1, z.shape[-1])
-    values = map_rows(partial(_reported, problem.unnamed()), flat, 4096)
+    values = map_rows(partial(_reported, problem.unnamed()), flat, 4096, each)
     names = [*problem.free, *(n for n in values if n not in problem.free)]
     return {n: np.asarray(values[n]).reshape(z.shape[:-1]) for n in names}
 
