@@ -201,7 +201,7 @@ def with_chains(
     """
     draws, weights = weighted.z.copy(), weighted.weights.copy()
     valid = weighted.efficiency >= EFFICIENT
-    poor = np.flatnonzero(~valid & ~weighted.unusual)
+    poor = np.flatnonzero(~valid & ~weighted.unusual).tolist()
 
     def chains_of(i: int) -> Chains:
         observed = with_values(problem.observations[0], jnp.asarray(values[i]))
