@@ -73,7 +73,7 @@ STAGES = ("outlines", "pose", "texture", "thickness", "pigments", "texels", "pos
 """Names of the stages in their order; `"pigments"` stands for `Lit` and `Fitted`."""
 MEDIA = ("cornea-aqueous", "f09", "f09-melanin", "flat")
 METHODS = ("least-squares", "simplex")
-_SOLVER_ANGLES = 8  # of ILIT during the search: the posterior's logarithm errs by 0.04
+_SOLVER_ANGLES = 8  # of ILIT during the search: the posterior's logarithm errs by 0.04 (sd)
 # Degrees of the table that a search by radiative transfer uses. It errs by up to 1 % of the
 # brightest texel, while windows err by 4 % and more, and costs a quarter of a picture's table.
 SEARCHED: Mapping[str, Any] = {"degrees": (6, 3, 4, 4), "angular": (2, 2, 1)}

@@ -21,7 +21,7 @@ from irisjax.render.shading import incident_flux
 
 _LEAST_AREA = 5  # pixels of a highlight
 _MOST_LAMPS = 6  # lamps
-_WIDEST_LAMP = 0.15  # angular radius of a lamp; wider ones are drawn as they are seen
+_WIDEST_LAMP = 0.2  # angular radius of a lamp; wider ones are drawn as they are seen
 _WIDE_LIGHTS = 4  # lamps that stand for all wide lights
 _BRIGHT_IRIS, _RINGS = 0.98, 24  # quantile of the iris beside an image; its rings of one colour
 _PANORAMA_ROWS = 256  # most rows of the panorama of wide lights
@@ -61,8 +61,8 @@ class Lighting(NamedTuple):
             assert self.lamps is not None
             return self.lamps
         count = _WIDE_LIGHTS if self.room else self.environment_lights
-        surroundings = self.environment.to_lights(count)
-        return surroundings if self.lamps is None else self.lamps + surroundings
+        around = self.environment.to_lights(count)
+        return around if self.lamps is None else self.lamps + around
 
     def surroundings(self, room: float) -> Environment | None:
         """Return the environment of a scene with a room of this radiance."""
@@ -117,7 +117,8 @@ def find_lighting(
     for spot in sorted(spots, key=lambda s: -s.area)[:_MOST_LAMPS]:
         at = tuple(spot.coords.T)
         lit, radius = before[at], scale * np.sqrt(spot.area / np.pi)
-        if lit.mean() < 0.5 or (number := int(images[at][lit][0])) in wide:
+        numbers = images[at][lit & clipped[at]]
+        if lit.mean() < 0.5 or not numbers.size or (number := int(numbers[0])) in wide:
             continue
         if radius > _WIDEST_LAMP:
             wide.add(number)
@@ -126,7 +127,7 @@ def find_lighting(
     if not lamps and not wide:
         return Lighting(None, Environment.uniform(), found=0)
     seen = np.isin(images, list(wide))
-    shown = np.where(seen[..., None], _image_over_iris(part, image, limbus, pupil), 0)
+    shown = np.where(seen[..., None], _image_over_iris(part, image, glow, limbus, pupil), 0)
     power = float((shown @ LUMINANCE).sum())
     total = power + sum(area for _, area, _ in lamps)
     environment, lights = None, None
@@ -137,18 +138,21 @@ def find_lighting(
     if lamps:
         (x, y, z), area, radius = (np.transpose(v) for v in zip(*lamps, strict=True))
         polar, azimuth = np.arctan2(np.hypot(x, y), -z), np.arctan2(y, x)
-        numbers: list[Any] = [polar, azimuth, np.pi * area / total]
-        lights = Lights.distant(*numbers, radius=cast(Any, radius))
+        parts: list[Any] = [polar, azimuth, np.pi * area / total]
+        lights = Lights.distant(*parts, radius=cast(Any, radius))
     return Lighting(lights, environment, room=True, found=len(lamps) + len(wide))
 
 
-def _image_over_iris(part: Colours, image: Mask, limbus: Ellipse, pupil: Ellipse) -> np.ndarray:
+def _image_over_iris(
+    part: Colours, image: Mask, glow: Mask, limbus: Ellipse, pupil: Ellipse
+) -> np.ndarray:
     """Estimate what a mirror image adds to the light of the iris, whose usual colour at each
     distance from the middle is taken off; nothing where the iris itself may be as bright.
     """
-    ring = np.minimum(limbus.radii(image.shape) * _RINGS, _RINGS - 1).astype(int)
-    inside = limbus.mask(image.shape) & (pupil.radii(image.shape) > 1)
-    bare = inside & ~image
+    radius = limbus.radii(image.shape)
+    ring = np.minimum(radius * _RINGS, _RINGS - 1).astype(int)
+    inside = (radius < 1) & (pupil.radii(image.shape) > 1)
+    bare = inside & ~image & (radius < _CORNEA_RADIUS)  # all darker than the glow
     if not bare.any():
         return part
     known = np.unique(ring[bare])
@@ -158,8 +162,9 @@ def _image_over_iris(part: Colours, image: Mask, limbus: Ellipse, pupil: Ellipse
     brightest = np.quantile(part[bare].max(-1), _BRIGHT_IRIS)
     certain = np.clip(2 * (part.max(-1) / brightest - 1), 0, 1) if brightest > 0 else 1.0
     certain = np.where(inside, certain, 1.0)
-    certain = certain * ndimage.binary_opening(certain > 0, np.ones((3, 3)))  # no single fibres
-    return np.maximum(part - usual, 0) * certain[..., None]
+    # No single fibres.
+    wide = glow | np.asarray(ndimage.binary_opening(certain > 0, np.ones((3, 3))))
+    return np.maximum(part - usual, 0) * (certain * wide)[..., None]
 
 
 def _panorama(

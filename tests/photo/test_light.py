@@ -68,7 +68,7 @@ def test_a_highlight_tells_where_its_lamp_stands(pose, polar, azimuth):
 def test_a_highlight_that_rounding_breaks_up_is_one_lamp(pose):
     """And a white that is cut off, beside the limbus, is none."""
     towards = _direction(0.3, 2.0)
-    picture = _mirrored(pose, towards, 0.12)
+    picture = _mirrored(pose, towards, 0.15)
     row, column = np.indices(pose.camera.shape)
     uneven = (picture[..., 0] > 0.5) & (((row + column) % 5 == 0) | ((row - column) % 7 == 0))
     picture[uneven] = 0.9
@@ -122,6 +122,19 @@ def test_a_wide_highlight_is_a_window_of_its_own_shape(pose):
     around = light.surroundings(0.2)
     assert around is not None
     assert float(around.radiance.min()) == pytest.approx(0.2)
+
+
+def test_a_thin_wide_highlight_beside_a_bright_white_lights_the_eye(pose):
+    """Nothing of it was left where a filter took it for fibres, or the white was as bright."""
+    picture = np.full((*pose.camera.shape, 3), 0.05)
+    radius = LIMBUS.radii(pose.camera.shape)
+    picture[radius > 0.9] = 1.0
+    row, column = np.indices(pose.camera.shape)
+    across, beside = np.abs(column - 100) < 36, (column // 2 == 50) & (row > 39) & (row < 60)
+    picture[across & np.isin(row // 2, [20, 23, 26, 29]) | beside] = 1.0  # two pixels thick
+    light = _told(picture, pose)
+    assert light.found == 1 and light.wide is not None
+    assert float(light.lights().irradiance.sum()) == pytest.approx(np.pi)
 
 
 def test_without_a_highlight_light_comes_from_all_round(pose):
