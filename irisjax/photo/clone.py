@@ -278,8 +278,7 @@ class Fitted(Lit):
         marched = isinstance(self.integrator, TabulatedSingleScattering)
         camera = self.pose.camera
         if self.veil is not None:  # of a room as bright as the model's the camera sees a share
-            images = self.mirrored() / max(self._bright(), 1e-9)
-            camera = dataclasses.replace(camera, images=jnp.asarray(images))
+            camera = dataclasses.replace(camera, images=jnp.asarray(self._images()))
         return Scene(
             self.iris(),
             maps,
@@ -297,11 +296,16 @@ class Fitted(Lit):
 
     def mirrored(self) -> float:
         """Return the radiance of the room that the tear film mirrors in the scene's picture."""
-        if self.veil is None:
-            return 0.0
-        if self.lighting.wide is not None:  # which would be dimmed with it
-            return self._bright()
-        return min(float((self.veil / self.exposure).mean()), self._bright())
+        return 0.0 if self.veil is None else self._images() * self._bright()
+
+    def _images(self) -> float:
+        """Return the share of what the tear film mirrors with which it is as bright as in the
+        photograph; at most 1.
+        """
+        if self.lighting.exposure is not None:
+            return min(float((self.lighting.exposure / self.exposure).mean()), 1.0)
+        veil, bright = float((self.veil / self.exposure).mean()), self._bright()
+        return min(veil, bright) / max(bright, 1e-9)
 
     def _bright(self) -> float:
         light = self.lighting
@@ -542,7 +546,8 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
 
     def windows_with(maps: IrisMaps, turned: bool = False) -> Windows:
         known = light.lights(), integrator, lit.tables, light.room, turned
-        return make_windows(chosen, eye, base, maps.replace(freckles=None), *known)
+        made = make_windows(chosen, eye, base, maps.replace(freckles=None), *known)
+        return dataclasses.replace(made, exposure=light.exposure, burnt_out=light.burnt_out)
 
     windows = windows_with(maps, turned=given.maps is None)
     search = pigments.simplex if settings.method == "simplex" else pigments.fit_pigments

@@ -42,6 +42,9 @@ class Lighting(NamedTuple):
             the pigments.
         found: Number of lamps and wide lights inferred from highlights; `None` for a given light.
         environment_lights: Number of lamps that stand for the environment.
+        exposure: Exposure of the photograph as wide lights tell it: the light of their images over
+            what the tear film mirrors of them; `None` without wide lights.
+        burnt_out: Whether these images are cut off, so that the exposure is at least this.
     """
 
     lamps: Lights | None
@@ -49,6 +52,8 @@ class Lighting(NamedTuple):
     room: bool = False
     found: int | None = None
     environment_lights: int = ENVIRONMENT_LIGHTS
+    exposure: float | None = None
+    burnt_out: bool = False
 
     @property
     def wide(self) -> Environment | None:
@@ -80,7 +85,7 @@ def find_lighting(
     mirror: lamps at infinity from compact ones, and windows or soft boxes from wide ones.
 
     A highlight is cut off somewhere, and reaches to half of that brightness: rounding and JPEG
-    break up what is cut off alone. A wide light reaches as far as the mirror image that it is part
+    break up what is cut off alone. Where none is, mirror images that are not cut off count. A wide light reaches as far as the mirror image that it is part
     of, and becomes a panorama of what the photograph shows there [Nishino & Nayar 2004]; where that
     is cut off it is brighter. Lamps and wide lights share an irradiance of π, on surfaces that face
     them, in proportion to the light of their images. Without a highlight, uniform light from all
@@ -103,6 +108,9 @@ def find_lighting(
     median = np.median(brightness[middle])
     clipped = middle & (brightness > max(_CLIPPED, 4 * median))
     glow = middle & (brightness > 0.5 * (_CLIPPED + median))
+    burnt_out = bool(clipped.any())
+    if not burnt_out:
+        clipped = glow = middle & reflected
     spots = measure.regionprops(measure.label(glow), clipped.astype(float))
     spots = [s for s in spots if s.area >= _LEAST_AREA and s.intensity_max > 0]
     # The image of a lamp appears at a distance of half the cornea's radius.
@@ -126,25 +134,27 @@ def find_lighting(
             lamps.append((directions[at][lit].mean(0), spot.area, max(radius, 0.005)))
     if not lamps and not wide:
         return Lighting(None, Environment.uniform(), found=0)
-    seen = np.isin(images, list(wide))
-    shown = np.where(seen[..., None], _image_over_iris(part, image, glow, limbus, pupil), 0)
+    seen, sure = np.isin(images, list(wide)), glow | reflected
+    shown = np.where(seen[..., None], _image_over_iris(part, image, sure, limbus, pupil), 0)
     power = float((shown @ LUMINANCE).sum())
     total = power + sum(area for _, area, _ in lamps)
-    environment, lights = None, None
+    environment, lights, exposure = None, None, None
     if wide:
         reflectance = scatter_to_picture(film, np.asarray(film.reflectance), shape)[..., None]
-        panorama = _panorama(shown / np.maximum(reflectance, 1e-6), directions, seen)
-        environment = Environment(np.pi * power / total * panorama)
+        irradiance = np.pi * power / total
+        panorama, light = _panorama(shown / np.maximum(reflectance, 1e-6), directions, seen)
+        environment, exposure = Environment(irradiance * panorama), light / irradiance
     if lamps:
         (x, y, z), area, radius = (np.transpose(v) for v in zip(*lamps, strict=True))
         polar, azimuth = np.arctan2(np.hypot(x, y), -z), np.arctan2(y, x)
         parts: list[Any] = [polar, azimuth, np.pi * area / total]
         lights = Lights.distant(*parts, radius=cast(Any, radius))
-    return Lighting(lights, environment, room=True, found=len(lamps) + len(wide))
+    known: dict[str, Any] = {"exposure": exposure, "burnt_out": burnt_out}
+    return Lighting(lights, environment, room=True, found=len(lamps) + len(wide), **known)
 
 
 def _image_over_iris(
-    part: Colours, image: Mask, glow: Mask, limbus: Ellipse, pupil: Ellipse
+    part: Colours, image: Mask, sure: Mask, limbus: Ellipse, pupil: Ellipse
 ) -> np.ndarray:
     """Estimate what a mirror image adds to the light of the iris, whose usual colour at each
     distance from the middle is taken off; nothing where the iris itself may be as bright.
@@ -161,9 +171,9 @@ def _image_over_iris(
     usual[~inside] = 0
     brightest = np.quantile(part[bare].max(-1), _BRIGHT_IRIS)
     certain = np.clip(2 * (part.max(-1) / brightest - 1), 0, 1) if brightest > 0 else 1.0
-    certain = np.where(inside, certain, 1.0)
+    certain = np.where(inside & ~sure, certain, 1.0)
     # No single fibres.
-    wide = glow | np.asarray(ndimage.binary_opening(certain > 0, np.ones((3, 3))))
+    wide = sure | np.asarray(ndimage.binary_opening(certain > 0, np.ones((3, 3))))
     return np.maximum(part - usual, 0) * (certain * wide)[..., None]
 
 
@@ -171,8 +181,10 @@ def _panorama(
     radiance: Float[np.ndarray, "rows columns 3"],
     mirrored: Float[np.ndarray, "rows columns 3"],
     seen: Mask,
-) -> Float[np.ndarray, "polar azimuth 3"]:
-    """Lay what pixels mirror into a panorama whose irradiance, on surfaces that face it, is one."""
+) -> tuple[Float[np.ndarray, "polar azimuth 3"], float]:
+    """Lay what pixels mirror into a panorama whose irradiance, on surfaces that face it, is one, and
+    return also what it was before.
+    """
     near: Any = ndimage.binary_dilation(seen, iterations=2)
     near = near & mirrored.any(-1)
     tree = spatial.KDTree(mirrored[near])
@@ -182,7 +194,8 @@ def _panorama(
     distance, pixel = tree.query(direction, distance_upper_bound=2 * max(pitch, np.pi / rows))
     values = np.concatenate([radiance[near], np.zeros((1, 3))])  # the last is for none
     panorama = np.where(np.isfinite(distance)[..., None], values[pixel], 0.0)
-    return panorama / (panorama @ LUMINANCE * solid_angle).sum()
+    irradiance = float((panorama @ LUMINANCE * solid_angle).sum())
+    return panorama / irradiance, irradiance
 
 
 def find_veil(

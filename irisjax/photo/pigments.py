@@ -39,11 +39,12 @@ from irisjax.tissue.iris import CONCENTRATIONS, Iris
 
 _PHEOMELANIN_PER_EUMELANIN = 0.226  # with which F09 begins [F09 Section 5.2]
 PRIORS: dict[str, AbstractPrior] = {
-    "abl_eumelanin": LogNormal(1.0, 1.3),
-    "abl_pheomelanin": LogNormal(0.25, 1.3),
+    "abl_eumelanin": LogNormal(1.0, 1.6),
+    "abl_pheomelanin": LogNormal(0.25, 1.6),
     "stroma_eumelanin": LogNormal(0.2, 1.3),
-    "stroma_pheomelanin": LogNormal(0.05, 1.3),
-    "scattering_scale": LogNormal(1.0, 0.5),
+    "stroma_pheomelanin": LogNormal(0.05, 1.6),
+    "hemoglobin": LogNormal(0.15, 0.8),
+    "scattering_scale": LogNormal(1.5, 1.0),
     "room": LogNormal(0.1, 1.2),
     "exposure": LogNormal(1.0, 0.7),
     "red_gain": LogNormal(1.0, 0.08),
@@ -52,14 +53,17 @@ PRIORS: dict[str, AbstractPrior] = {
 }
 """Free parameters and their priors.
 
-Concentrations: LB06's loads and shares of the two layers, within a factor 3.7. Scattering: a factor
-on the iris's own. Room: radiance of light from all round beside lamps whose irradiance is π
+Concentrations: LB06's loads and shares of the two layers, within a factor of 5, the stroma's
+eumelanin 3.7. Haemoglobin: LB06's and what the redness of photographed irides requires, up to five
+times as much. Scattering: a factor on the iris's own, whose fibrils scatter seven times as much as
+LB06's: photographed irides require 10 to 40 times. Room: radiance of light from all round beside lamps whose irradiance is π
 together, if lamps were inferred from highlights. Camera: exposure relative to that of a white sheet
 in the given light, white balance of red and blue against green, and the power with which values
 grow with light.
 """
 FREE_NAMES = tuple(PRIORS)
-PIGMENT_UNITS = {name: "mg/ml" if name in CONCENTRATIONS else "" for name in FREE_NAMES}
+PIGMENT_UNITS = dict.fromkeys(FREE_NAMES, "") | dict.fromkeys(CONCENTRATIONS, "mg/ml")
+PIGMENT_UNITS["hemoglobin"] = "mmol/l"
 # RMS of ln photograph over model in the windows above which a fit is doubtful, channels weighted by
 # brightness: simulated photographs stay below 0.16, with lids and lashes or without.
 _WINDOWS_OFF = 0.25
@@ -68,6 +72,9 @@ _BALANCE = 0.3  # most of the logarithm of a channel's exposure beside that of t
 _STEPS = 60, 50  # most of a turn of least squares, and of a stage of the simplex
 _TURNS = 3  # of least squares under fixed covariances, and of these
 _CLOSE = 1e-3  # tolerance of the search, in standard deviations of the prior
+# Standard deviation of the logarithm of the exposure that mirror images tell, which is 2 to 6 % too
+# little in simulated photographs; a camera's curve adds to it.
+_EXPOSURE_SPREAD = 0.15
 _FLOOR = 0.01  # of the photograph's mean, below which colours do not count
 _STARTS = np.array([[0, 0, 0, 0], [-1.5, -1.5, -1, -1], [1, 0, 1, 0], [-1, 1, -1, 1]])
 WALKERS = 48
@@ -174,8 +181,9 @@ def predicted_colours(values: dict[str, Any], windows: Windows, base: Iris) -> A
 
 def log_posterior(z: Float[Array, " free"], windows: Windows, base: Iris) -> Scalar:
     """Return the logarithm of the posterior density of z (free,), without constants."""
-    density = log_likelihood(*_log_ratios(parameter_values(z), windows, base), windows.present)
-    density -= 0.5 * (z**2).sum()
+    values = parameter_values(z)
+    density = log_likelihood(*_log_ratios(values, windows, base), windows.present)
+    density -= 0.5 * ((z**2).sum() + (_error_of_exposure(values, windows) ** 2).sum())
     return jnp.where(jnp.isfinite(density), density, -jnp.inf)
 
 
@@ -313,7 +321,8 @@ def sample_pigments(
 def iris_of_concentrations(values: dict[str, Any], base: Iris) -> Iris:
     """Return the iris of four concentrations (mg/ml of each layer) and a factor on scattering."""
     scale = values.get("scattering_scale", 1.0) * base.scattering_scale
-    return base.with_layers(values).replace(scattering_scale=scale)
+    blood = {"hemoglobin": values["hemoglobin"]} if "hemoglobin" in values else {}
+    return base.with_layers(values).replace(scattering_scale=scale, **blood)
 
 
 def log_likelihood(log_ratios: WindowColours, response: WindowColours, present: _Present) -> Scalar:
@@ -370,6 +379,14 @@ def _exposures(values):
     return values["exposure"] * jnp.stack([red, jnp.ones_like(red), blue])
 
 
+def _error_of_exposure(values, windows: Windows):
+    """Error of the exposure that mirror images tell, in standard deviations; empty without any."""
+    if windows.exposure is None:
+        return jnp.zeros(0)
+    error = jnp.log(values["exposure"] / windows.exposure) / _EXPOSURE_SPREAD
+    return jnp.atleast_1d(jnp.minimum(error, 0) if windows.burnt_out else error)
+
+
 def _log_ratios(values, windows: Windows, base: Iris):
     """Logarithms of photograph over model, (windows, 3), and the derivatives of the model's by that
     of the stroma's thickness.
@@ -401,8 +418,9 @@ def _searches(starts, windows, base, free: tuple[int, ...]):
 
     def residuals(moving, weight, fixed):
         del weight  # the priors count in full
-        log_ratios, _ = _log_ratios(parameter_values(all_of(moving)), windows, base)
-        return jnp.concatenate([whitened_errors(log_ratios, windows.present, fixed), moving]), None
+        values = parameter_values(all_of(moving))
+        errors = whitened_errors(_log_ratios(values, windows, base)[0], windows.present, fixed)
+        return jnp.concatenate([errors, _error_of_exposure(values, windows), moving]), None
 
     def turn(moving, _):
         fixed = covariances(

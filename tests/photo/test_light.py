@@ -137,6 +137,22 @@ def test_a_thin_wide_highlight_beside_a_bright_white_lights_the_eye(pose):
     assert float(light.lights().irradiance.sum()) == pytest.approx(np.pi)
 
 
+@pytest.mark.parametrize(("value", "burnt_out"), [(0.6, False), (1.0, True)])
+def test_the_image_of_a_wide_light_tells_the_exposure(pose, value, burnt_out):
+    """A disc's radiance over the normal reflectance of water, seen where that hardly rises."""
+    towards, radius = _direction(0.5, 2.0), 0.35
+    picture = _mirrored(pose, towards, radius)
+    picture[picture > 0.5] = value
+    light = _told(picture, pose)
+    assert (light.found, light.lamps, light.burnt_out) == (1, None, burnt_out)
+    radiance = value / (0.336 / 2.336) ** 2
+    solid_angle = 2 * np.pi * (1 - np.cos(radius))
+    # Less what the iris has under the image; pixels at the disc's edge count in full.
+    assert light.exposure == pytest.approx(radiance * solid_angle / np.pi, rel=0.1)
+    middle = np.asarray(light.lights().towards).mean(0)
+    assert np.degrees(np.arccos(middle @ towards / np.linalg.norm(middle))) < 2
+
+
 def test_without_a_highlight_light_comes_from_all_round(pose):
     light = _told(np.full((*pose.camera.shape, 3), 0.05), pose)
     assert (light.found, light.room, light.lamps) == (0, False, None)

@@ -80,13 +80,14 @@ def test_least_squares_fits_what_the_model_made(windows, fit):
 
 
 def test_the_simplex_goes_down_stage_by_stage(windows):
-    found = simplex(windows, BASE)
+    exposure = float(parameter_values(jnp.asarray(TRUE))["exposure"])
+    found = simplex(windows, BASE, {"exposure": exposure})
     log = found.log
     assert [set(row) for row in log] == [{*CONCENTRATIONS, "steps", "rms"}] * 2
-    start = windows_rms(np.zeros(len(FREE_NAMES)), windows)
+    start = windows_rms(np.where(np.array(FREE_NAMES) == "exposure", TRUE, 0.0), windows)
     assert start > log[0]["rms"] >= log[1]["rms"]
     assert found.rms.mean() == pytest.approx(log[1]["rms"])
-    assert found.values["exposure"] == pytest.approx(1)
+    assert found.values["exposure"] == pytest.approx(exposure)
 
 
 def test_the_simplex_is_near_where_light_and_scattering_are_known(windows):
@@ -129,6 +130,26 @@ def test_the_posterior_is_likelihood_times_prior(windows):
     own = [-_cost(z, windows) for z in places]
     assert np.ptp(own) > 10
     np.testing.assert_allclose(own, [direct(z) for z in places], atol=1e-3)
+
+
+@pytest.mark.parametrize("burnt_out", [False, True])
+def test_mirror_images_tell_the_exposure_or_how_much_it_is_at_least(windows, fit, burnt_out):
+    exposure = fit.values["exposure"]
+    spread = fit.covariance[(at := FREE_NAMES.index("exposure")), at]
+
+    def told(factor):
+        known = {"exposure": factor * exposure, "burnt_out": burnt_out}
+        return fit_pigments(dataclasses.replace(windows, **known), BASE)
+
+    less, more = told(0.5), told(2.0)
+    assert exposure < more.values["exposure"] < 2.5 * exposure
+    assert more.covariance[at, at] < 0.5 * spread
+    if burnt_out:
+        assert less.values["exposure"] == pytest.approx(exposure, rel=0.01)
+        assert less.covariance[at, at] == pytest.approx(spread, rel=0.1)
+    else:
+        assert 0.4 * exposure < less.values["exposure"] < exposure
+        assert less.covariance[at, at] < 0.5 * spread
 
 
 def test_exposures_take_up_what_other_maps_change(windows, fit):
