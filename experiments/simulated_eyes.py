@@ -18,7 +18,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.grow.procedural import procedural
 from irisjax.io.photographs import read_photograph
 from irisjax.measure.colour import srgb_encode
-from irisjax.photo.clone import FIBRILS
+from irisjax.photo.clone import usual_iris
 from irisjax.photo.photograph import Ellipse, Photograph
 from irisjax.photo.pigments import FREE_NAMES, PRIORS, iris_of_concentrations
 from irisjax.photo.windows import average_thickness
@@ -28,7 +28,6 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.picture import draw
 from irisjax.render.scene import Scene
-from irisjax.tissue.iris import Iris
 
 WHITE = 0.3, 0.97
 """Linear values between which the brightest tenth of the white begins: not burnt out, not dark."""
@@ -94,7 +93,7 @@ def _scene(values: dict[str, float], random: np.random.Generator) -> Scene:
     """An iris of these values, its structure, lamp and camera drawn."""
     eye = Eye(pupil_radius=jnp.asarray(random.uniform(*PUPIL)))
     height = average_thickness(eye) * np.exp(PEOPLE * random.standard_normal())
-    base = Iris(fibril_radius=jnp.asarray(FIBRILS), stroma_thickness=jnp.asarray(height))
+    base = usual_iris(height)
     maps = procedural(base, eye, key=jax.random.key(int(random.integers(2**31))))
     iris = iris_of_concentrations({n: jnp.asarray(v) for n, v in values.items()}, base)
     tilt, lamp = (

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, cast
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import ArrayLike, Bool, Float
 from scipy import optimize
 
 from irisjax._types import PRNGKey
@@ -78,6 +78,7 @@ _SOLVER_ANGLES = 8  # of ILIT during the search: the posterior's logarithm errs 
 # brightest texel, while windows err by 4 % and more, and costs a quarter of a picture's table.
 SEARCHED: Mapping[str, Any] = {"degrees": (6, 3, 4, 4), "angular": (2, 2, 1)}
 FIBRILS = 57.0  # radius during the search, nm; the strength of their scattering is a free factor
+_SATURATION = 0.95  # of the blood, as in the choroid and in the presets
 _BLUR_WIDTHS = Range(0.05, 2.0, "mm")  # widths of the deconvolution that are compared
 _BLUR_STEPS, _BLUR_TOLERANCE = 7, 0.1  # number of first trials; tolerance of the logarithm
 
@@ -535,7 +536,7 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     chosen = choose_pixels(pixels, clear, lit.view, eye, around, _light_on_part(lit))
     maps = average_maps(eye) if given.maps is None else given.maps
     depth = jnp.mean(jnp.asarray(maps.stroma_depth))
-    base = Iris(fibril_radius=jnp.asarray(FIBRILS), stroma_thickness=depth)
+    base = usual_iris(depth)
     if settings.media == "f09-melanin":
         base = base.replace(absorption="f09")
     integrator = settings.integrator
@@ -576,6 +577,12 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
         return fitted(cache(partial(deconvolve, sigma_mm=width)))
 
     return deconvolved(width_by_rendering(deconvolved))
+
+
+def usual_iris(stroma_thickness: ArrayLike) -> Iris:
+    """Return the iris that fixes what is not fitted, for a thickness of the stroma (mm)."""
+    iris = Iris(fibril_radius=FIBRILS, stroma_thickness=stroma_thickness)
+    return iris.replace(saturation=_SATURATION)
 
 
 def has_texels(settings: CloneSettings, given: Given = NOTHING) -> bool:

@@ -85,11 +85,11 @@ def find_lighting(
     mirror: lamps at infinity from compact ones, and windows or soft boxes from wide ones.
 
     A highlight is cut off somewhere, and reaches to half of that brightness: rounding and JPEG
-    break up what is cut off alone. Where none is, mirror images that are not cut off count. A wide light reaches as far as the mirror image that it is part
-    of, and becomes a panorama of what the photograph shows there [Nishino & Nayar 2004]; where that
-    is cut off it is brighter. Lamps and wide lights share an irradiance of π, on surfaces that face
-    them, in proportion to the light of their images. Without a highlight, uniform light from all
-    round is assumed.
+    break up what is cut off alone. Where none is, mirror images that are not cut off count. A wide
+    light reaches as far as the mirror image that it is part of, and becomes a panorama of what the
+    photograph shows there [Nishino & Nayar 2004]; where that is cut off it is brighter. Lamps and
+    wide lights share an irradiance of π, on surfaces that face them, in proportion to the light of
+    their images. Without a highlight, uniform light from all round is assumed.
 
     Args:
         part: Linear pixels of the camera's picture.
@@ -182,7 +182,7 @@ def _panorama(
     mirrored: Float[np.ndarray, "rows columns 3"],
     seen: Mask,
 ) -> tuple[Float[np.ndarray, "polar azimuth 3"], float]:
-    """Lay what pixels mirror into a panorama whose irradiance, on surfaces that face it, is one, and
+    """Lay what pixels mirror into a panorama whose irradiance, on surfaces that face it, is one;
     return also what it was before.
     """
     near: Any = ndimage.binary_dilation(seen, iterations=2)

@@ -56,10 +56,10 @@ PRIORS: dict[str, AbstractPrior] = {
 Concentrations: LB06's loads and shares of the two layers, within a factor of 5, the stroma's
 eumelanin 3.7. Haemoglobin: LB06's and what the redness of photographed irides requires, up to five
 times as much. Scattering: a factor on the iris's own, whose fibrils scatter seven times as much as
-LB06's: photographed irides require 10 to 40 times. Room: radiance of light from all round beside lamps whose irradiance is π
-together, if lamps were inferred from highlights. Camera: exposure relative to that of a white sheet
-in the given light, white balance of red and blue against green, and the power with which values
-grow with light.
+LB06's: photographed irides require 10 to 40 times. Room: radiance of light from all round beside
+lamps whose irradiance is π together, if lamps were inferred from highlights. Camera: exposure
+relative to that of a white sheet in the given light, white balance of red and blue against green,
+and the power with which values grow with light.
 """
 FREE_NAMES = tuple(PRIORS)
 PIGMENT_UNITS = dict.fromkeys(FREE_NAMES, "") | dict.fromkeys(CONCENTRATIONS, "mg/ml")

@@ -62,7 +62,7 @@ _POWER, _DARK = 1 / 2.4, 1e-3  # of the encoding in which errors are alike, and 
 _LONGEST, _DAMPING = 1.5, 1e-3  # longest step of a logarithm; damping of the first one
 # Share of pixels `OUTSIDE` up to which no other exposure is wanted. So many may be lamps and lashes
 # that the mask has missed, to which no exposure belongs: the errors of a few decide their RMS.
-_ENOUGH = 0.05
+_ENOUGH = 0.03
 _BRIGHTNESS = 6.0  # weight of the mean of the channels' errors beside their own
 _COLOURS = 9  # logarithm to base 2 of the number of colours at which the search begins
 _ROWS, _ROWS_COARSEST = 1 << 13, 1 << 10  # pixels solved at a time

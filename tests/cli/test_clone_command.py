@@ -297,7 +297,9 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
     assert not any(usual in doubt for doubt in doubts)
     vars(found).update(texels=None)
     assert any(usual in doubt.sentence for doubt in doubts_of(found))
-    vars(found).update(fit=fit._replace(z=np.zeros(len(prior)), rms=np.full(3, 0.01), converged=True))
+    vars(found).update(
+        fit=fit._replace(z=np.zeros(len(prior)), rms=np.full(3, 0.01), converged=True)
+    )
     assert any("thickness hardly shows" in doubt.sentence for doubt in doubts_of(found))
     vars(found).update(boundaries=found.boundaries._replace(limbus_confidence=0.2))
     assert any("limbus is doubtful (confidence 0.20)" in d.sentence for d in doubts_of(found))

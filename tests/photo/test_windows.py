@@ -11,7 +11,7 @@ import pytest
 from window_scenes import BASE, CAMERA, EYE, LIGHTS, POSE, QUICK, SHAPE, maps, view
 
 from irisjax.anatomy.eye import Eye
-from irisjax.photo.clone import FIBRILS, SEARCHED
+from irisjax.photo.clone import SEARCHED, usual_iris
 from irisjax.photo.light import Lighting
 from irisjax.photo.pigments import (
     FREE_NAMES,
@@ -38,7 +38,6 @@ from irisjax.render.project import project_visible
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
 from irisjax.render.shading import scale_ranges
-from irisjax.tissue.iris import Iris
 
 OTHER = BASE.replace(
     eumelanin=jnp.asarray(1.0), pheomelanin=jnp.asarray(0.3), abl_fraction=jnp.asarray(0.7)
@@ -188,7 +187,7 @@ def test_the_table_of_a_search_by_radiative_transfer_errs_less_than_windows_do()
     of the prior.
     """
     maps = average_maps(Eye())
-    base = Iris(fibril_radius=jnp.asarray(FIBRILS), stroma_thickness=jnp.mean(maps.stroma_depth))
+    base = usual_iris(jnp.mean(maps.stroma_depth))
     ranges, bands = (
         scale_ranges(base, maps.replace(freckles=None)),
         colour_bands(cornea=Eye().cornea),
