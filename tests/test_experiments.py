@@ -27,6 +27,7 @@ SLOW = {
     "bench_render",
     "clone_coverage",
     "clone_light",
+    "clone_presets",
     "clone_search",
     "clone_thickness",
     "exact_against_montecarlo",

@@ -41,7 +41,7 @@ _PHEOMELANIN_PER_EUMELANIN = 0.226  # with which F09 begins [F09 Section 5.2]
 PRIORS: dict[str, AbstractPrior] = {
     "abl_eumelanin": LogNormal(1.0, 1.6),
     "abl_pheomelanin": LogNormal(0.25, 1.6),
-    "stroma_eumelanin": LogNormal(0.2, 1.3),
+    "stroma_eumelanin": LogNormal(0.08, 1.2),
     "stroma_pheomelanin": LogNormal(0.05, 1.6),
     "hemoglobin": LogNormal(0.15, 0.8),
     "scattering_scale": LogNormal(1.5, 1.0),
@@ -53,13 +53,13 @@ PRIORS: dict[str, AbstractPrior] = {
 }
 """Free parameters and their priors.
 
-Concentrations: LB06's loads and shares of the two layers, within a factor of 5, the stroma's
-eumelanin 3.7. Haemoglobin: LB06's and what the redness of photographed irides requires, up to five
-times as much. Scattering: a factor on the iris's own, whose fibrils scatter seven times as much as
-LB06's: photographed irides require 10 to 40 times. Room: radiance of light from all round beside
-lamps whose irradiance is π together, if lamps were inferred from highlights. Camera: exposure
-relative to that of a white sheet in the given light, white balance of red and blue against green,
-and the power with which values grow with light.
+Concentrations: LB06's levels, from 0.045 to 4.3 mg/ml of eumelanin in the ABL and from 0.009 to
+0.58 in the stroma, and what photographed irides require. Haemoglobin: LB06's and what their redness
+requires, up to five times as much. Scattering: a factor on the iris's own, whose fibrils scatter
+seven times as much as LB06's: photographed irides require 10 to 40 times. Room: radiance of light
+from all round beside lamps whose irradiance is π together, if lamps were inferred from highlights.
+Camera: exposure relative to that of a white sheet in the given light, white balance of red and blue
+against green, and the power with which values grow with light.
 """
 FREE_NAMES = tuple(PRIORS)
 PIGMENT_UNITS = dict.fromkeys(FREE_NAMES, "") | dict.fromkeys(CONCENTRATIONS, "mg/ml")
@@ -77,6 +77,7 @@ _CLOSE = 1e-3  # tolerance of the search, in standard deviations of the prior
 _EXPOSURE_SPREAD = 0.15
 _FLOOR = 0.01  # of the photograph's mean, below which colours do not count
 _STARTS = np.array([[0, 0, 0, 0], [-1.5, -1.5, -1, -1], [1, 0, 1, 0], [-1, 1, -1, 1]])
+_SCATTERING = np.array([-1.0, -2.0, 0.5, -1.0])  # of the same starts
 WALKERS = 48
 _ROWS = WALKERS // 4  # densities computed at a time: half of those that a step of emcee needs
 _EUMELANIN, _PHEOMELANIN = slice(0, 4, 2), slice(1, 4, 2)  # of the concentrations, which are first
@@ -195,6 +196,7 @@ def fit_pigments(windows: Windows, base: Iris) -> PigmentFit:
     free = [i for i, n in enumerate(FREE_NAMES) if n != "room" or windows.room is not None]
     starts = np.zeros((len(_STARTS), len(free)))
     starts[:, : len(CONCENTRATIONS)] = _STARTS
+    starts[:, FREE_NAMES.index("scattering_scale")] = _SCATTERING
     results = jax.tree.map(np.asarray, _searches(starts, windows, base, tuple(free)))
     (optima, log_density), (steps, converged), covariance = results
     best = int(np.nanargmax(log_density[:, -1]))

@@ -33,10 +33,12 @@ from irisjax.render import picture
 from irisjax.render import polynomials as products
 from irisjax.render.illumination import Illumination
 from irisjax.render.project import View, scatter_to_picture
+from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.shading import IrisModel, scale_ranges
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
+from irisjax.tissue.pigments import extinction
 
 NAMES = ("stroma", "eumelanin", "pheomelanin")
 """What is sought at each texel, in the order of `Scales`."""
@@ -66,6 +68,9 @@ _ENOUGH = 0.03
 _BRIGHTNESS = 6.0  # weight of the mean of the channels' errors beside their own
 _COLOURS = 9  # logarithm to base 2 of the number of colours at which the search begins
 _ROWS, _ROWS_COARSEST = 1 << 13, 1 << 10  # pixels solved at a time
+# Optical depth of a stroma by scattering at the shortest wavelength (nm) of a picture's bands, for
+# radiative transfer: its table ends at 25, and ranges are widened by 5 %.
+_DEEPEST, _SHORTEST = 20.0, 400.0
 _MARGIN = 0.7  # of the logarithms, beyond those found, for the table of all levels
 
 
@@ -208,8 +213,9 @@ def colour_iris(
     levels = [Seen(target, functions, logs, known)]
     for _ in _STEPS[1:]:
         levels.append(_halved(levels[-1]))
-    gain, coarsest = find_gain(levels[-1], respond(FACTORS), exposure)
-    response = respond(ranges_about(coarsest, levels[-1].known))
+    factors = _reachable(scene)
+    gain, coarsest = find_gain(levels[-1], respond(factors), exposure)
+    response = respond(ranges_about(coarsest, levels[-1].known, factors))
     local = solve_levels(levels, response, exposure, gain, doubt)
     middle = np.median(local.logs[known], axis=0)
     iris = moved_iris(iris, np.exp(middle))
@@ -343,11 +349,20 @@ def polish(
     return _level(level, logs, response, exposure, gain, _POLISH, doubt=doubt)
 
 
-def ranges_about(local: Local, known: Mask) -> Scales:
+def ranges_about(local: Local, known: Mask, factors: Scales = FACTORS) -> Scales:
     """Return ranges about the numbers of a coarse level, for a table with a smaller error."""
     low, high = np.quantile(local.logs[known], [0.002, 0.998], axis=0)
     spans = [np.exp([a - _MARGIN, b + _MARGIN]) for a, b in zip(low, high, strict=True)]
-    return Scales(None, *(np.clip(s, *r) for s, r in zip(spans, FACTORS[1:], strict=True)))
+    return Scales(None, *(np.clip(s, *r) for s, r in zip(spans, factors[1:], strict=True)))
+
+
+def _reachable(scene: Scene) -> Scales:
+    """`FACTORS`, by radiative transfer up to the deepest stroma that its table has."""
+    if not isinstance(scene.integrator, RadiativeIntegrator):
+        return FACTORS
+    depth = float(scene.tissue.layers(extinction([_SHORTEST])).stroma_scattering[0])
+    low, high = FACTORS.stroma
+    return FACTORS._replace(stroma=np.array([low, max(min(high, _DEEPEST / depth), 2 * low)]))
 
 
 def _coarsest(level: Seen, response: TexelResponse, exposure, gain: float) -> Local:

@@ -1,0 +1,100 @@
+"""Clones of pictures of the presets: are the pigments in their intervals, and the pictures alike?
+
+The presets are drawn by the package's own renderer, in the studio and straight from the front. The
+optics are the same on both sides; but the search knows neither the maps nor the light, and the
+pigments are those that photographed colours asked for, not draws from its priors.
+"""
+
+import tempfile
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from experiments.common import RESULTS, start, write
+from irisjax.anatomy.eye import Eye
+from irisjax.grow.presets import PRESETS
+from irisjax.io.images import write_png
+from irisjax.io.photographs import read_photograph
+from irisjax.measure.colour import srgb_encode
+from irisjax.photo.clone import (
+    FIBRILS,
+    CloneSettings,
+    Sampled,
+    clone_eye,
+    compare_with_photograph,
+)
+from irisjax.photo.doubts import doubts_of
+from irisjax.render.camera import Camera
+from irisjax.render.environment import Environment
+from irisjax.render.picture import draw_bands
+from irisjax.render.scene import Scene
+from irisjax.tissue.iris import Iris
+from irisjax.tissue.maps import IrisMaps, cell_centres
+
+SIZE, WIDTH = 640, 14.0
+"""Of the pictures, pixels and mm."""
+EYE = Eye(pupil_radius=1.7)
+COLUMNS = ("preset", "parameter", "truth", "q2.5", "median", "q97.5")
+PICTURES = ("preset", "doubts", *(f"{p}_{c}" for p in ("rms", "pigments") for c in "rgb"))
+
+
+def main(key, quick=False, out=RESULTS):
+    """Write intervals beside the truth, and differences of the pictures in per cent (quick: one
+    preset).
+    """
+    intervals, pictures = [], []
+    for colour in list(PRESETS)[: 1 if quick else None]:
+        iris, maps = PRESETS[colour](EYE, key=key)
+        *_, found = clone_eye(_photographed(iris, maps), CloneSettings(), key=key)
+        assert isinstance(found, Sampled)
+        difference = compare_with_photograph(found)
+        doubts = len(doubts_of(found, difference.rms_of_pigments))
+        rms = 100 * np.concatenate([difference.rms, difference.rms_of_pigments])
+        pictures.append((colour, doubts, *map(float, rms)))
+        for name, value in _truth(iris, maps, found).items():
+            e = found.posterior.estimates[name]
+            intervals.append((colour, name, value, e.low, e.median, e.high))
+    about = ("presets drawn by the package's renderer, and cloned", f"{SIZE} px")
+    write(out / "clone_presets.csv", about, COLUMNS, intervals)
+    write(out / "clone_presets_pictures.csv", (*about, "differences: %"), PICTURES, pictures)
+
+
+def _photographed(iris: Iris, maps: IrisMaps):
+    """The picture of an iris in the studio, as read from a file of 8 bits."""
+    camera = Camera(width=jnp.asarray(WIDTH), size=(SIZE, SIZE))
+    scene = Scene(iris, maps, EYE, None, Environment.studio(), camera)
+    picture = np.concatenate([band.pixels for band in draw_bands(scene, samples=2)])
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "eye.png"
+        write_png(path, np.clip(np.asarray(srgb_encode(jnp.asarray(picture))), 0, 1))
+        return read_photograph(path)
+
+
+def _truth(iris: Iris, maps: IrisMaps, found: Sampled) -> dict[str, float]:
+    """Means over the iris of what the clone estimates. Melanin adds up, and so does scattering: a
+    stroma that is thicker than the clone's scatters as much more.
+    """
+    area = np.asarray(EYE.ring_area(cell_centres(maps.shape)[1]))
+    ones = np.ones(maps.shape)
+
+    def mean(values) -> float:
+        return float(np.average((values * ones).mean(0), weights=area))
+
+    abl = 1.0 if (scale := maps.abl_scale(iris)) is None else np.asarray(scale)
+    pigment = {
+        name: 1.0 if (own := getattr(maps, name)) is None else np.asarray(own)
+        for name in ("eumelanin", "pheomelanin")
+    }
+    truth = {
+        name: value * mean(pigment[name.split("_")[1]] * (abl if name.startswith("abl") else 1))
+        for name, value in iris.layer_concentrations().items()
+    }
+    thickness = mean(np.asarray(maps.stroma_depth)) / float(found.base.stroma_thickness)
+    fibrils = (float(iris.fibril_radius) / FIBRILS) ** 3  # LB06's coefficient grows as r³
+    scattering = float(iris.scattering_scale) * fibrils * thickness
+    return truth | {"hemoglobin": float(iris.hemoglobin), "scattering_scale": scattering}
+
+
+if __name__ == "__main__":
+    start(main, __doc__)
