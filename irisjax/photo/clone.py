@@ -581,8 +581,8 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
 
 def usual_iris(stroma_thickness: ArrayLike) -> Iris:
     """Return the iris that fixes what is not fitted, for a thickness of the stroma (mm)."""
-    iris = Iris(fibril_radius=FIBRILS, stroma_thickness=stroma_thickness)
-    return iris.replace(saturation=_SATURATION)
+    fixed = {"fibril_radius": FIBRILS, "saturation": _SATURATION}
+    return Iris().replace(stroma_thickness=stroma_thickness, **fixed)
 
 
 def has_texels(settings: CloneSettings, given: Given = NOTHING) -> bool:
