@@ -34,7 +34,7 @@ from irisjax.tissue.maps import IrisMaps, cell_centres
 
 SIZE, WIDTH = 640, 14.0
 """Of the pictures, pixels and mm."""
-EYE = Eye(pupil_radius=1.7)
+EYE = Eye().replace(pupil_radius=1.7)
 COLUMNS = ("preset", "parameter", "truth", "q2.5", "median", "q97.5")
 PICTURES = ("preset", "doubts", *(f"{p}_{c}" for p in ("rms", "pigments") for c in "rgb"))
 
