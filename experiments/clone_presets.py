@@ -5,25 +5,15 @@ optics are the same on both sides; but the search knows neither the maps nor the
 pigments are those that photographed colours asked for, not draws from its priors.
 """
 
-import tempfile
-from pathlib import Path
-
 import jax.numpy as jnp
 import numpy as np
 
+from experiments.clone_truth import scattering_of
 from experiments.common import RESULTS, start, write
+from experiments.simulated_eyes import read_back
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.presets import PRESETS
-from irisjax.io.images import write_png
-from irisjax.io.photographs import read_photograph
-from irisjax.measure.colour import srgb_encode
-from irisjax.photo.clone import (
-    FIBRILS,
-    CloneSettings,
-    Sampled,
-    clone_eye,
-    compare_with_photograph,
-)
+from irisjax.photo.clone import CloneSettings, Sampled, clone_eye, compare_with_photograph
 from irisjax.photo.doubts import doubts_of
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
@@ -33,7 +23,7 @@ from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, cell_centres
 
 SIZE, WIDTH = 640, 14.0
-"""Of the pictures, pixels and mm."""
+"""Side of a picture in pixels, and width of the field that it shows in mm."""
 EYE = Eye().replace(pupil_radius=1.7)
 COLUMNS = ("preset", "parameter", "truth", "q2.5", "median", "q97.5")
 PICTURES = ("preset", "doubts", *(f"{p}_{c}" for p in ("rms", "pigments") for c in "rgb"))
@@ -64,11 +54,7 @@ def _photographed(iris: Iris, maps: IrisMaps):
     """The picture of an iris in the studio, as read from a file of 8 bits."""
     camera = Camera(width=jnp.asarray(WIDTH), size=(SIZE, SIZE))
     scene = Scene(iris, maps, EYE, None, Environment.studio(), camera)
-    picture = np.concatenate([band.pixels for band in draw_bands(scene, samples=2)])
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "eye.png"
-        write_png(path, np.clip(np.asarray(srgb_encode(jnp.asarray(picture))), 0, 1))
-        return read_photograph(path)
+    return read_back(np.concatenate([band.pixels for band in draw_bands(scene, samples=2)]))
 
 
 def _truth(iris: Iris, maps: IrisMaps, found: Sampled) -> dict[str, float]:
@@ -91,8 +77,8 @@ def _truth(iris: Iris, maps: IrisMaps, found: Sampled) -> dict[str, float]:
         for name, value in iris.layer_concentrations().items()
     }
     thickness = mean(np.asarray(maps.stroma_depth)) / float(found.base.stroma_thickness)
-    fibrils = (float(iris.fibril_radius) / FIBRILS) ** 3  # LB06's coefficient grows as r³
-    scattering = float(iris.scattering_scale) * fibrils * thickness
+    strength = float(iris.scattering_scale) * scattering_of(float(iris.fibril_radius))
+    scattering = strength * thickness
     return truth | {"hemoglobin": float(iris.hemoglobin), "scattering_scale": scattering}
 
 

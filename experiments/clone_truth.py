@@ -54,13 +54,22 @@ def premises(colour: str, folder: Path = FOLDER) -> tuple[Given, dict[str, float
     )
     lights = Lights.distant(polar, azimuth, lamp["irradiance"], radius=radius)
     room = Environment.uniform(numbers["room_radiance"])
+    iris = numbers["iris"]
     known = {
         "exposure": numbers["exposure"] * green,
         "red_gain": red / green,
         "blue_gain": blue / green,
-        "scattering_scale": (numbers["iris"]["fibril_radius"] / FIBRILS) ** 3,
+        "hemoglobin": iris["oxyhemoglobin"] + iris["deoxyhemoglobin"],
+        "scattering_scale": iris["scattering_scale"] * scattering_of(iris["fibril_radius"]),
     }
     return Given(lights=lights, environment=room), known
+
+
+def scattering_of(radius: float) -> float:
+    """Return how much fibrils of a radius (nm) scatter beside those of clones: LB06's coefficient
+    grows as r³.
+    """
+    return (radius / FIBRILS) ** 3
 
 
 def _numbers(colour: str, folder: Path) -> dict[str, Any]:

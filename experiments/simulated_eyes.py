@@ -11,11 +11,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from PIL import Image
 
 from experiments.simulated_photographs import outline, sensed
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.procedural import procedural
+from irisjax.io.images import write_png
 from irisjax.io.photographs import read_photograph
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.clone import usual_iris
@@ -65,17 +65,22 @@ def photographed(
         light = np.maximum(np.asarray(draw(scene, tables(scene)), np.float64), 0)
         gains = np.array([values["red_gain"], 1.0, values["blue_gain"]])
         linear = values["exposure"] * gains * light ** values["contrast"]
-        encoded = srgb_encode(jnp.asarray(np.clip(sensed(linear, random), 0, 1)))
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "eye.png"
-            Image.fromarray(np.round(255 * np.asarray(encoded)).astype(np.uint8)).save(path)
-            photograph = read_photograph(path)
+        photograph = read_back(sensed(linear, random))
         limbus, _ = outline(scene, float(scene.eye.limbus_radius), pupil=False)
         pupil, _ = outline(scene, float(scene.eye.pupil_radius), pupil=True)
         row, column = np.ogrid[:SIZE, :SIZE]
         white = photograph.pixels[limbus.relative_radius(column, row) > 1.15].max(-1)
         if WHITE[0] < np.quantile(white, 0.9) < WHITE[1]:
             return Truth(values, scene, limbus, pupil), photograph
+
+
+def read_back(linear: np.ndarray) -> Photograph:
+    """Return a linear picture as it is read from an sRGB file of 8 bits."""
+    encoded = np.asarray(srgb_encode(jnp.asarray(np.clip(linear, 0, 1))))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "eye.png"
+        write_png(path, encoded)
+        return read_photograph(path)
 
 
 def tables_of(scene: Scene) -> Illumination:

@@ -548,7 +548,10 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     def windows_with(maps: IrisMaps, turned: bool = False) -> Windows:
         known = light.lights(), integrator, lit.tables, light.room, turned
         made = make_windows(chosen, eye, base, maps.replace(freckles=None), *known)
-        return dataclasses.replace(made, exposure=light.exposure, burnt_out=light.burnt_out)
+        if light.exposure is None:
+            return made
+        told = np.asarray(light.exposure), np.asarray(light.burnt_out)
+        return dataclasses.replace(made, exposure=told[0], at_least=told[1])
 
     windows = windows_with(maps, turned=given.maps is None)
     search = pigments.simplex if settings.method == "simplex" else pigments.fit_pigments
@@ -580,7 +583,7 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
 
 
 def usual_iris(stroma_thickness: ArrayLike) -> Iris:
-    """Return the iris that fixes what is not fitted, for a thickness of the stroma (mm)."""
+    """Return the iris that fixes what is not fitted: the thickness of its stroma (mm) is given."""
     fixed = {"fibril_radius": FIBRILS, "saturation": _SATURATION}
     return Iris().replace(stroma_thickness=stroma_thickness, **fixed)
 

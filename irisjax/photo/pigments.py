@@ -76,8 +76,16 @@ _CLOSE = 1e-3  # tolerance of the search, in standard deviations of the prior
 # little in simulated photographs; a camera's curve adds to it.
 _EXPOSURE_SPREAD = 0.15
 _FLOOR = 0.01  # of the photograph's mean, below which colours do not count
-_STARTS = np.array([[0, 0, 0, 0], [-1.5, -1.5, -1, -1], [1, 0, 1, 0], [-1, 1, -1, 1]])
-_SCATTERING = np.array([-1.0, -2.0, 0.5, -1.0])  # of the same starts
+# Standard normal numbers of the first parameters, up to the scattering, with which searches begin:
+# with one strength of scattering they miss optima by radiative transfer.
+_STARTS = np.array(
+    [
+        [0, 0, 0, 0, 0, -1],
+        [-1.5, -1.5, -1, -1, 0, -2],
+        [1, 0, 1, 0, 0, 0.5],
+        [-1, 1, -1, 1, 0, -1],
+    ]
+)
 WALKERS = 48
 _ROWS = WALKERS // 4  # densities computed at a time: half of those that a step of emcee needs
 _EUMELANIN, _PHEOMELANIN = slice(0, 4, 2), slice(1, 4, 2)  # of the concentrations, which are first
@@ -195,8 +203,7 @@ def fit_pigments(windows: Windows, base: Iris) -> PigmentFit:
     """
     free = [i for i, n in enumerate(FREE_NAMES) if n != "room" or windows.room is not None]
     starts = np.zeros((len(_STARTS), len(free)))
-    starts[:, : len(CONCENTRATIONS)] = _STARTS
-    starts[:, FREE_NAMES.index("scattering_scale")] = _SCATTERING
+    starts[:, : _STARTS.shape[1]] = _STARTS
     results = jax.tree.map(np.asarray, _searches(starts, windows, base, tuple(free)))
     (optima, log_density), (steps, converged), covariance = results
     best = int(np.nanargmax(log_density[:, -1]))
@@ -321,7 +328,9 @@ def sample_pigments(
 
 
 def iris_of_concentrations(values: dict[str, Any], base: Iris) -> Iris:
-    """Return the iris of four concentrations (mg/ml of each layer) and a factor on scattering."""
+    """Return the iris of four concentrations (mg/ml of each layer); a factor on scattering and the
+    haemoglobin (mmol/l) may be given with them.
+    """
     scale = values.get("scattering_scale", 1.0) * base.scattering_scale
     blood = {"hemoglobin": values["hemoglobin"]} if "hemoglobin" in values else {}
     return base.with_layers(values).replace(scattering_scale=scale, **blood)
@@ -382,11 +391,11 @@ def _exposures(values):
 
 
 def _error_of_exposure(values, windows: Windows):
-    """Error of the exposure that mirror images tell, in standard deviations; empty without any."""
-    if windows.exposure is None:
-        return jnp.zeros(0)
-    error = jnp.log(values["exposure"] / windows.exposure) / _EXPOSURE_SPREAD
-    return jnp.atleast_1d(jnp.minimum(error, 0) if windows.burnt_out else error)
+    """Error of the exposure that mirror images tell, in standard deviations, (1,). A bound that is
+    kept is no error.
+    """
+    error = (jnp.log(values["exposure"]) - jnp.log(windows.exposure)) / _EXPOSURE_SPREAD
+    return jnp.where(windows.at_least & (error > 0), 0.0, error)[None]
 
 
 def _log_ratios(values, windows: Windows, base: Iris):

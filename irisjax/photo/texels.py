@@ -39,6 +39,7 @@ from irisjax.render.shading import IrisModel, scale_ranges
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 from irisjax.tissue.pigments import extinction
+from irisjax.transport.radiative.tabulated import DEEPEST
 
 NAMES = ("stroma", "eumelanin", "pheomelanin")
 """What is sought at each texel, in the order of `Scales`."""
@@ -68,9 +69,8 @@ _ENOUGH = 0.03
 _BRIGHTNESS = 6.0  # weight of the mean of the channels' errors beside their own
 _COLOURS = 9  # logarithm to base 2 of the number of colours at which the search begins
 _ROWS, _ROWS_COARSEST = 1 << 13, 1 << 10  # pixels solved at a time
-# Optical depth of a stroma by scattering at the shortest wavelength (nm) of a picture's bands, for
-# radiative transfer: its table ends at 25, and ranges are widened by 5 %.
-_DEEPEST, _SHORTEST = 20.0, 400.0
+_REACHED = 0.8  # of the optical depths of radiative transfer's table: ranges are widened
+_SHORTEST = 400.0  # nm, wavelength of a picture's bands at which the stroma scatters most
 _MARGIN = 0.7  # of the logarithms, beyond those found, for the table of all levels
 
 
@@ -213,7 +213,7 @@ def colour_iris(
     levels = [Seen(target, functions, logs, known)]
     for _ in _STEPS[1:]:
         levels.append(_halved(levels[-1]))
-    factors = _reachable(scene)
+    factors = factors_within_table(scene)
     gain, coarsest = find_gain(levels[-1], respond(factors), exposure)
     response = respond(ranges_about(coarsest, levels[-1].known, factors))
     local = solve_levels(levels, response, exposure, gain, doubt)
@@ -356,13 +356,13 @@ def ranges_about(local: Local, known: Mask, factors: Scales = FACTORS) -> Scales
     return Scales(None, *(np.clip(s, *r) for s, r in zip(spans, factors[1:], strict=True)))
 
 
-def _reachable(scene: Scene) -> Scales:
-    """`FACTORS`, by radiative transfer up to the deepest stroma that its table has."""
+def factors_within_table(scene: Scene) -> Scales:
+    """Return `FACTORS`; by radiative transfer the stroma ends where its table of depths does."""
     if not isinstance(scene.integrator, RadiativeIntegrator):
         return FACTORS
     depth = float(scene.tissue.layers(extinction([_SHORTEST])).stroma_scattering[0])
     low, high = FACTORS.stroma
-    return FACTORS._replace(stroma=np.array([low, max(min(high, _DEEPEST / depth), 2 * low)]))
+    return FACTORS._replace(stroma=np.array([low, min(high, _REACHED * DEEPEST / depth)]))
 
 
 def _coarsest(level: Seen, response: TexelResponse, exposure, gain: float) -> Local:

@@ -90,8 +90,8 @@ class Windows(eqx.Module):
         ranges: Ranges of its thickness scales.
         integrator: Model of light in the iris.
         aqueous_index: Refractive index of the aqueous humour.
-        exposure: The photograph's exposure, as mirror images of wide lights tell it.
-        burnt_out: Whether these images are cut off, so that the exposure is at least this.
+        exposure: The photograph's exposure, as mirror images of wide lights tell it; 0 without.
+        at_least: Whether the exposure may be more: these images are cut off, or there are none.
     """
 
     colour: _WindowColours
@@ -104,8 +104,8 @@ class Windows(eqx.Module):
     ranges: Scales
     integrator: _Integrator
     aqueous_index: Scalar
-    exposure: float | None = None
-    burnt_out: bool = eqx.field(default=False, static=True)
+    exposure: Float[np.ndarray, ""] = eqx.field(default_factory=lambda: np.zeros(()))
+    at_least: Bool[np.ndarray, ""] = eqx.field(default_factory=lambda: np.ones((), bool))
 
     def radiance(self, iris: Iris, room: Scalar | float = 0.0) -> _Modelled:
         """Return the mean linear sRGB of an iris in each window, where a white sheet that faces an

@@ -138,7 +138,7 @@ def test_mirror_images_tell_the_exposure_or_how_much_it_is_at_least(windows, fit
     spread = fit.covariance[(at := FREE_NAMES.index("exposure")), at]
 
     def told(factor):
-        known = {"exposure": factor * exposure, "burnt_out": burnt_out}
+        known = {"exposure": np.asarray(factor * exposure), "at_least": np.asarray(burnt_out)}
         return fit_pigments(dataclasses.replace(windows, **known), BASE)
 
     less, more = told(0.5), told(2.0)

@@ -10,19 +10,23 @@ from scipy import ndimage
 from window_scenes import BASE as USUAL
 from window_scenes import EYE, LIGHTS, SHAPE
 
+from irisjax.photo.clone import usual_iris
 from irisjax.photo.light import find_veil
 from irisjax.photo.photograph import Ellipse
-from irisjax.photo.texels import colour_iris, moved_iris
+from irisjax.photo.texels import FACTORS, colour_iris, factors_within_table, moved_iris
 from irisjax.photo.texture import Refraction
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.picture import draw, surroundings, texture, within_gamut
 from irisjax.render.project import project_visible, scatter_to_picture
+from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.tissue.maps import IrisMaps, Scales, texel_layers
 from irisjax.tissue.pigments import extinction
+from irisjax.transport.defaults import quickest
 from irisjax.transport.ilit.exact import IlitExact
+from irisjax.transport.process import DEPTH_RESOLVED
 
 # As fitted irides are, so that all pictures share a program.
 BASE = USUAL.replace(pheomelanin_abl_fraction=USUAL.abl_fraction)
@@ -110,6 +114,25 @@ def test_the_picture_of_the_texels_is_the_photograph(view):
     # Maps have the precision of the table that was inverted, so that its program draws the picture.
     factors = (found.maps.eumelanin, found.maps.pheomelanin, found.maps.residual)
     assert {np.asarray(f).dtype for f in factors} == {np.dtype(np.float32)}
+
+
+def test_texels_of_a_strong_scatterer_stay_within_the_table_of_radiative_transfer():
+    """A fit of 70 times LB06's scattering was refused: 60 times as much is beyond the table."""
+    strong = usual_iris(0.2855).replace(scattering_scale=70 / 7, eumelanin=0.1)
+    scene = dataclasses.replace(scene_with(None), iris=strong, integrator=RadiativeIntegrator())
+    found = factors_within_table(scene)
+    scales = (Scales(stroma=jnp.asarray(s)) for s in (found.stroma[1], FACTORS.stroma[1]))
+    wavelengths = [400.0, 550.0, 655.0]
+    table = quickest(strong, scene.eye.aqueous_index, DEPTH_RESOLVED)
+    held = [
+        table.holds(texel_layers(strong, scene.eye.aqueous_index, extinction(wavelengths), s))
+        for s in scales
+    ]
+    assert held == [True, False]
+    # Weak scatterers and ILIT have no such end.
+    weak = scene.replace(iris=strong.replace(scattering_scale=0.01))
+    for other in (weak, scene_with(None)):
+        np.testing.assert_allclose(factors_within_table(other).stroma, FACTORS.stroma)
 
 
 def test_the_numbers_and_their_deviations_are_those_of_the_drawing(view):
