@@ -55,7 +55,7 @@ def pictures():
             axis.set(xlim=(0, 60), ylim=(0, 101))
             axis.set_xlabel("difference, of 255 steps", fontsize=7)
             axis.tick_params(labelsize=7)
-            axis.legend(fontsize=7, loc="lower right", title="RMS", title_fontsize=7)
+            axis.legend(fontsize=7, title="RMS", title_fontsize=7, frameon=True, edgecolor="none")
         below[0].set_ylabel("pixels, cumulative (%)", fontsize=7)
     figure.suptitle("After F09 Fig. 19 (simulated; light × 2)", fontsize=9)
     save_picture(figure, "f09_fig19")
