@@ -42,6 +42,7 @@ _TRUSTED = 0.5  # support above which a pupil is used to find the limbus
 _FRONTAL = edges.Expected((LIMBUS_FLAT, 0.0), 0.08)
 _CENTRE_SD = 0.07  # standard deviation of the pupil's middle in either direction, limbus radii
 _ROUGH_CENTRE_SD = 0.15  # the same for limbi that are not yet known well
+_NARROW = 0.16  # width of a highlight that is removed from a pupil, limbus radii
 _UPWARDS = 0.05  # its mean, above the limbus's middle
 _WARMER = 0.5  # by how much redder the white of one side may be than that of the other
 
@@ -152,18 +153,18 @@ def find_boundaries(
 
 def find_pupil(photo: Photograph, limbus: FittedEllipse) -> FittedEllipse:
     """Find the pupil within a limbus, which suggests how flat it is if its edges are seen."""
-    part = _cut_part(photo, limbus.outline, 1.1, edges.ROUGH)
-    picture, outline, back = part[0].mean(-1), *part[2:]
-    ceiling = _ceiling(picture, outline)
-    if ceiling is None or not (circles := _dark_rings(np.minimum(picture, ceiling), outline)):
+    pixels, clipped, outline, back = _cut_part(photo, limbus.outline, 1.1, edges.ROUGH)
+    ceiling = _ceiling(pixels.mean(-1), outline)
+    picture, clipped = _darken(pixels.mean(-1), clipped, ceiling, outline.semi_axes[0])
+    if not (circles := _dark_rings(picture, outline)):
         a, b = limbus.outline.semi_axes  # in place of a pupil that is not found
         return FittedEllipse(limbus.outline._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
-    rising = _first_rise(np.minimum(picture, ceiling), ceiling)
+    rising = _first_rise(picture, ceiling)
     # A reflection in the pupil may leave a smaller dark circle beside its middle.
     middle = 0.5 * np.add(circles[0].centre, outline.centre)
     starts = circles[0], circles[0]._replace(centre=(middle[0], middle[1]))
     expected = _expected_pupil(limbus)
-    fits = [_fit_pupil(rising, part[1], circle, expected) for circle in starts]
+    fits = [_fit_pupil(rising, clipped, circle, expected) for circle in starts]
     fit = max(fits, key=lambda fit: fit.support * _place_plausibility(outline, fit.outline))
     return fit._replace(outline=back(fit.outline))
 
@@ -230,7 +231,9 @@ def refine_pupil(photo: Photograph, limbus: FittedEllipse, near: FittedEllipse) 
     pixels, _, outline, _ = _cut_part(photo, limbus.outline, 1.1, edges.ROUGH)
     ceiling = _ceiling(pixels.mean(-1), outline)
     pixels, clipped, circle, back = _cut_part(photo, near.outline, 1.5, edges.FINE)
-    picture, span = np.clip(pixels.mean(-1), 0, ceiling), (0.7, 1.3)
+    radius = limbus.outline.semi_axes[0] * circle.semi_axes[0] / near.outline.semi_axes[0]
+    picture, clipped = _darken(pixels.mean(-1), clipped, ceiling, radius)
+    picture, span = np.maximum(picture, 0), (0.7, 1.3)
     smooth = ndimage.gaussian_filter(picture, 0.01 * circle.semi_axes[0])  # against noise
     score, expected = 0 * _EQUAL_WEIGHTS, _expected_pupil(limbus)
     for reach in (0.1, 0.08):
@@ -351,10 +354,10 @@ def _rough_pair(
     """A circle as limbus with the circle within that is most likely the pupil."""
     fit = limbus or FittedEllipse(start, _TRUSTED)
     if pupil is None:
-        pixels, _, outline, back = _cut_part(photo, start, 1.1, _PUPIL_RADIUS)
+        pixels, clipped, outline, back = _cut_part(photo, start, 1.1, _PUPIL_RADIUS)
         picture = pixels.mean(-1)
-        ceiling = _ceiling(picture, outline)
-        circles = _dark_rings(np.minimum(picture, ceiling), outline) if ceiling else []
+        ceiling, radius = _ceiling(picture, outline), outline.semi_axes[0]
+        circles = _dark_rings(_darken(picture, clipped, ceiling, radius)[0], outline)
         a, b = start.semi_axes
         pupil = FittedEllipse(start._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
         if circles:
@@ -491,17 +494,32 @@ def _profile(picture, clipped, circle: Ellipse, span, steps: int):
     return np.where(hidden, np.nan, sample_along_rays(picture, circle, span, steps))
 
 
-def _first_rise(picture, ceiling: float | None):
+def _first_rise(picture, ceiling: float):
     """Brightness on a scale on which the first rise from black is the largest: irides are often
     darker beside the pupil.
     """
-    return np.log(np.maximum(picture, 0) + 0.04 * (ceiling or 1.0))
+    return np.log(np.maximum(picture, 0) + 0.04 * ceiling)
 
 
-def _ceiling(picture, limbus: Ellipse) -> float | None:
-    """Brightness within a limbus that only highlights exceed; `None` out of the picture."""
+def _ceiling(picture, limbus: Ellipse) -> float:
+    """Brightness within a limbus that only highlights exceed."""
     within = picture[limbus.radii(picture.shape) < 0.9]
-    return float(1.5 * np.quantile(within, 0.75) + 1e-9) if within.size else None
+    return float(1.5 * np.quantile(within, 0.75) + 1e-9) if within.size else 1.0
+
+
+def _darken(picture, clipped, ceiling: float, limbus_radius: float):
+    """A picture without its highlights, and which of its pixels hide what is behind them.
+
+    Highlights are cut at a ceiling. Narrow ones, as a ring lamp's, whose inner edge resembles a
+    pupil's, become as bright as what is beside them: in the pupil they hide nothing then; beside
+    the iris they may hide the pupil's rim.
+    """
+    half = max(1, round(_NARROW / 2 * limbus_radius))
+    beside = ndimage.grey_opening(picture, 2 * half + 1)
+    narrow = (picture > ceiling) & (beside < ceiling)
+    narrow = ndimage.binary_dilation(narrow, iterations=max(1, half // 2))
+    darkened = np.where(narrow, beside, np.minimum(picture, ceiling))
+    return darkened, np.where(narrow & (beside < 0.3 * ceiling), 0, clipped)
 
 
 def _fit_rise(x, brightness, pixel: float) -> tuple[float, float]:

@@ -286,6 +286,15 @@ def test_an_eye_as_people_photograph_it(small, change):
     assert near(find_boundaries(eye.photograph()), eye)
 
 
+@pytest.mark.parametrize("offset", [0.0, 0.05])
+def test_a_ring_lamp_in_the_pupil_is_not_its_rim(offset):
+    eye = photographed("brown_dirty.jpg", 1 / 8)
+    u, v, _ = places(eye)
+    ring = 1.5 * (abs(np.hypot(u - offset, v - offset) - 0.26) < 0.03)
+    eye = eye._replace(pixels=eye.pixels + ndimage.gaussian_filter(ring, 0.5)[..., None])
+    assert near(find_boundaries(eye.photograph()), eye)
+
+
 def test_a_pupil_given_by_hand_does_not_make_the_limbus_worse(small):
     eye = mirrored_sky(small)
     found = find_boundaries(eye.photograph(), pupil=eye.pupil)
