@@ -518,8 +518,8 @@ def _darken(picture, clipped, ceiling: float, limbus_radius: float):
     beside = ndimage.grey_opening(picture, 2 * half + 1)
     narrow = (picture > ceiling) & (beside < ceiling)
     narrow = ndimage.binary_dilation(narrow, iterations=max(1, half // 2))
-    darkened = np.where(narrow, beside, np.minimum(picture, ceiling))
-    return darkened, np.where(narrow & (beside < 0.3 * ceiling), 0, clipped)
+    in_pupil = np.logical_and(narrow, beside < 0.3 * ceiling)
+    return np.where(narrow, beside, np.minimum(picture, ceiling)), np.where(in_pupil, 0, clipped)
 
 
 def _fit_rise(x, brightness, pixel: float) -> tuple[float, float]:
