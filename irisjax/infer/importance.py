@@ -16,6 +16,7 @@ from scipy import stats
 from scipy.optimize import brentq
 from scipy.special import softmax
 
+from irisjax.infer.mixtures import Mixture
 from irisjax.infer.moves import DEGREES, Proposal, Straightening
 
 DRAWS, ROUNDS = 2048, 16
@@ -73,40 +74,51 @@ class ImportanceSample(NamedTuple):
 
 def importance_sample(
     log_density: Callable[[np.ndarray], np.ndarray],
-    start: Approximation,
+    start: Approximation | Mixture,
     random: np.random.RandomState,
     progress: Callable[[int], object] = lambda rounds: None,
+    *,
+    rounds: int = ROUNDS,
 ) -> ImportanceSample:
     """Sample a density of z whose priors are standard normal; it can miss a second, far mode.
 
     Args:
         log_density: Function of z (n, free) that returns (n,).
-        start: Normal approximation of the density.
+        start: Normal approximation of the density, or a mixture that has a component wherever the
+            density may be large and is itself refined [Cappé et al. 2008].
         random: Source of all draws.
         progress: Called with the number of rounds done.
+        rounds: Largest number of rounds.
 
     Raises:
         ValueError: If no draw at all has a density above zero.
     """
-    mean, covariance = complete(log_density, start)
-    proposals: list[_InitialProposal | Proposal] = [_InitialProposal(mean, covariance)]
-    z, values = np.empty((0, len(mean))), np.empty(0)
+    first = start if isinstance(start, Mixture) else _InitialProposal(*complete(log_density, start))
+    proposals: list[Mixture | _InitialProposal | Proposal] = [first]
+    new = first.draw(DRAWS, random)
+    z, values, proposed = new, log_density(new), first.log_density(new)
     while True:
-        new = proposals[-1].draw(DRAWS, random)
-        z, values = np.concatenate([z, new]), np.concatenate([values, log_density(new)])
         progress(len(proposals))
-        proposed = np.logaddexp.reduce([p.log_density(z) for p in proposals])
         log_weight = values - proposed + math.log(len(proposals))
         if not np.isfinite(log_weight).any():
             raise ValueError("no draw round the least-squares fit has a probability above zero")
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
-        effective = _effective(log_weight, 1.0)
-        power = tempering_power(log_weight)
-        samples = z[resample(softmax(power * log_weight), DRAWS, random)]
-        if effective >= EFFECTIVE or len(proposals) == ROUNDS:
+        effective, power = _effective(log_weight, 1.0), _tempering_power(log_weight)
+        weights, last = softmax(power * log_weight), proposals[-1]
+        if effective >= EFFECTIVE or len(proposals) == rounds:
             break
-        straight = Straightening.of_samples(samples)
-        proposals.append(Proposal(straight if power >= _BENDING else straight.linear(), samples))
+        if isinstance(last, Mixture):
+            proposals.append(last.adapted(z, weights))
+        else:
+            samples = z[resample(weights, DRAWS, random)]
+            straight = Straightening.of_samples(samples)
+            straight = straight if power >= _BENDING else straight.linear()
+            proposals.append(Proposal(straight, samples))
+        new = proposals[-1].draw(DRAWS, random)
+        proposed = np.logaddexp(proposed, proposals[-1].log_density(z))
+        proposed = np.append(proposed, np.logaddexp.reduce([p.log_density(new) for p in proposals]))
+        z, values = np.concatenate([z, new]), np.append(values, log_density(new))
+    samples = z[resample(weights, DRAWS, random)]
     log_integral = float(np.logaddexp.reduce(log_weight) - math.log(len(z)))
     return ImportanceSample(samples, effective, log_integral, len(proposals))
 
@@ -152,7 +164,7 @@ def _effective(log_weight, power: float) -> float:
     return float(w.sum() ** 2 / (w**2).sum())
 
 
-def tempering_power(log_weight: Float[np.ndarray, " n"]) -> float:
+def _tempering_power(log_weight: Float[np.ndarray, " n"]) -> float:
     """Return the largest power, up to 1, with enough effective draws to fit a proposal to."""
     minimum = min(_FITTED_TO, 0.5 * float(np.isfinite(log_weight).sum()))
     if _effective(log_weight, 1.0) >= minimum:

@@ -1,17 +1,14 @@
-"""Mixtures of normal distributions, and importance sampling by a mixture that adapts."""
+"""Mixtures of normal distributions, fitted to samples."""
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import gammaln, logsumexp, softmax
+from scipy.special import gammaln, logsumexp
 
-from irisjax.infer.importance import DRAWS, EFFECTIVE, resample, tempering_power
 from irisjax.infer.moves import DEGREES
 
-_ROUNDS = 12
 _REFINED = 2  # steps of expectation maximisation between two rounds
 _LEAST = 1e-6  # variance that is added to every component
 
@@ -72,6 +69,13 @@ class Mixture(NamedTuple):
             shares = shares / shares.sum()
         return Mixture(shares, means, covariances)
 
+    def adapted(
+        self, samples: Float[np.ndarray, "n free"], weights: Float[np.ndarray, " n"]
+    ) -> "Mixture":
+        """Return the next proposal of importance sampling, refined on the draws that count."""
+        relevant = weights > 1e-3 / len(weights)
+        return self.refined(samples[relevant], weights[relevant], _REFINED)
+
     def draw(self, count: int, random: np.random.RandomState) -> Float[np.ndarray, "count free"]:
         """Draw places, each component as wide as Student's t of `DEGREES`."""
         component = random.choice(len(self.shares), count, p=self.shares)
@@ -95,41 +99,3 @@ def _whiten(x, means, covariances) -> tuple[np.ndarray, np.ndarray]:
     root = np.linalg.cholesky(covariances)
     residuals = np.linalg.solve(root, np.swapaxes(x - means[:, None], 1, 2))
     return np.diagonal(root, axis1=1, axis2=2).prod(axis=1), (residuals**2).sum(axis=1)
-
-
-def mixture_sample(
-    log_density: Callable[[np.ndarray], np.ndarray],
-    initial: Mixture,
-    random: np.random.RandomState,
-) -> tuple[Float[np.ndarray, "draws free"], float]:
-    """Sample a density by draws of a mixture that is fitted to them, round after round.
-
-    All draws so far count, each as a draw of the mixture of all proposals so far
-    [Cornuet et al. 2012, Cappé et al. 2008].
-
-    Args:
-        log_density: Function of z (n, free) that returns (n,).
-        first: The first proposal; it should have a component wherever the density may be large.
-        random: Source of all draws.
-
-    Returns:
-        `DRAWS` samples of equal weights, and the number of effective draws.
-    """
-    proposals = [initial]
-    z, values, proposed = np.empty((0, initial.means.shape[1])), np.empty(0), np.empty(0)
-    while True:
-        draws = proposals[-1].draw(DRAWS, random)
-        if len(z):
-            proposed = np.logaddexp(proposed, proposals[-1].log_density(z))
-        densities = np.logaddexp.reduce([p.log_density(draws) for p in proposals])
-        z, proposed = np.concatenate([z, draws]), np.concatenate([proposed, densities])
-        values = np.concatenate([values, log_density(draws)])
-        log_weight = values - proposed
-        log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
-        weights = softmax(log_weight)
-        effective = float(1 / (weights**2).sum())
-        if effective >= EFFECTIVE or len(proposals) == _ROUNDS:
-            return z[resample(weights, DRAWS, random)], effective
-        weights = softmax(tempering_power(log_weight) * log_weight)
-        relevant = weights > 1e-3 / len(weights)
-        proposals.append(proposals[-1].refined(z[relevant], weights[relevant], _REFINED))

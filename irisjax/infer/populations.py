@@ -18,9 +18,9 @@ from scipy.special import log_ndtr, ndtri_exp, softmax
 from scipy.stats import norm
 
 from irisjax._types import PRNGKey
-from irisjax.infer.importance import DRAWS, EFFECTIVE, Start, complete, importance_sample
+from irisjax.infer.importance import DRAWS, Start, complete, importance_sample
 from irisjax.infer.least_squares import least_squares, levenberg_marquardt
-from irisjax.infer.mixtures import Mixture, mixture_sample
+from irisjax.infer.mixtures import Mixture
 from irisjax.infer.posterior import Density
 from irisjax.infer.problem import Problem
 from irisjax.numerics.streams import words_of
@@ -33,6 +33,7 @@ WIDTH = 3.0
 """Standard deviation of the priors of `likelihood_draws`: those of the fits, 1, leave hardly a draw
 where the eyes of a group far out in the prior lie."""
 _COMPONENTS = 8  # of the mixture that is fitted to draws
+_ROUNDS = 12  # of importance sampling by a mixture, at most
 _TAIL = 1.5 * WIDTH  # where a parameter is held for the likelihood's tails
 _HOLD = 0.1  # standard deviation with which it is
 _FAINT = 25.0  # logarithm of densities that do not count
@@ -131,10 +132,10 @@ def likelihood_draws(
     likely[-1] = True
     initial = Mixture(np.full(likely.sum(), 1 / likely.sum()), means[likely], covariances[likely])
     random = np.random.RandomState(words_of(key))
-    samples, effective = mixture_sample(log_density, initial, random)
-    if effective < EFFECTIVE:
-        samples = importance_sample(log_density, starts[0], random).samples
-    return samples[np.linspace(0, DRAWS - 1, KERNELS).astype(int)][:, index]
+    found = importance_sample(log_density, initial, random, rounds=_ROUNDS)
+    if not found.enough:
+        found = importance_sample(log_density, starts[0], random)
+    return found.samples[np.linspace(0, DRAWS - 1, KERNELS).astype(int)][:, index]
 
 
 def tails(problem: Problem, z: Float[np.ndarray, " free"], names: Sequence[str]) -> list[Start]:
