@@ -5,6 +5,7 @@ rounded to single; its error is measured in both).
 """
 
 import dataclasses
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
@@ -12,12 +13,13 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 
 import irisjax as ij
 from irisjax.numerics import linear
 from irisjax.numerics.chunks import map_rows
 from irisjax.numerics.interpolation import chebyshev_nodes
-from irisjax.numerics.tucker import Tucker, grid_points
+from irisjax.numerics.tucker import Tucker, coefficients
 from irisjax.tissue.indices import RefractiveIndices
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.layers import Layers
@@ -87,10 +89,44 @@ def build(indices: RefractiveIndices | None = None) -> RadiativeTabulated:
     # `out` by itself: who wants no more pays for no more.
     each = fates[..., :1], fates[..., 1:], _brdf_table(indices)
     out, ends, multiple = (
-        Tucker.of(x, left, dtype) for x, left in zip(each, LEFT_OUT, strict=True)
+        compressed(x, left, dtype) for x, left in zip(each, LEFT_OUT, strict=True)
     )
     table = RadiativeTabulated(out, ends, multiple, indices, 0.0)
     return dataclasses.replace(table, error=measured_error(table))
+
+
+def compressed(values: np.ndarray, tolerance: float, dtype: DTypeLike) -> Tucker:
+    """Compress values at `chebyshev_nodes` of every axis, shape (nodes of each …, functions).
+
+    Each function is scaled by its largest value for the choice of ranks; what is left out of an
+    axis is below `tolerance` in the mean square.
+    """
+    values = np.asarray(values, np.float64)
+    *shape, _ = values.shape
+    largest = np.abs(values).reshape(-1, values.shape[-1]).max(axis=0)
+    scaled = values / np.where(largest > 0, largest, 1.0)
+    for axis, nodes in enumerate(shape):
+        scaled = _apply_along(scaled, axis, coefficients(nodes))
+    factors, core = [], scaled
+    size = np.sqrt(np.sum(scaled**2))
+    for axis in range(len(shape)):
+        unfolded = np.moveaxis(scaled, axis, 0).reshape(shape[axis], -1)
+        left, weights, _ = np.linalg.svd(unfolded, full_matrices=False)
+        tail = np.sqrt(np.cumsum(weights[::-1] ** 2)[::-1])
+        rank = max(1, int((tail > tolerance * size).sum()))
+        factors.append(left[:, :rank])
+        core = _apply_along(core, axis, left[:, :rank].T)
+    core = core * largest
+    return Tucker(tuple(jnp.asarray(f, dtype) for f in factors), jnp.asarray(core, dtype))
+
+
+def grid_points(axes: Sequence[np.ndarray]) -> np.ndarray:
+    """All combinations of the axes' nodes, shape (points, axes), the last axis fastest."""
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes))
+
+
+def _apply_along(values: np.ndarray, axis: int, matrix: np.ndarray) -> np.ndarray:
+    return np.moveaxis(np.tensordot(matrix, values, axes=(1, axis)), 0, axis)
 
 
 def measured_error(table: RadiativeTabulated) -> float:

@@ -5,8 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from experiments.radiative_table import compressed, grid_points
 from irisjax.numerics.interpolation import chebyshev_nodes, chebyshev_series
-from irisjax.numerics.tucker import Tucker, grid_points
 
 NODES = 14, 12, 10
 
@@ -28,7 +28,7 @@ def read(table, points):
 
 def made(tolerance):
     points = grid_points([chebyshev_nodes(n) for n in NODES])
-    return Tucker.of(function(points).reshape(*NODES, 2), tolerance, jnp.float64)
+    return compressed(function(points).reshape(*NODES, 2), tolerance, jnp.float64)
 
 
 def test_holds_smooth_functions_between_the_nodes():
