@@ -208,21 +208,14 @@ class Problem(eqx.Module):
     def _restate(
         self, base: Iris, process: AbstractProcess, extra: Iterable[str] = ()
     ) -> "Problem":
-        """The problem for another iris and process, with `more` parameters free."""
+        """The problem for another iris and process, with `extra` parameters free."""
         excluded = () if base.power_law is not None else OF_POWER_LAW
         excluded = (*excluded, "scattering_scale") if extra else excluded
         pairs = zip(self.free, self.priors, strict=True)
         free = {n: p for n, p in pairs if kind(n) not in excluded}
         free |= {n: PARAMETERS[n].prior for n in extra if n not in set(map(kind, free))}
-        constants = {
-            n: v for n, v in parameters.of_iris(base).items() if n not in set(map(kind, free))
-        }
-        fixed = {n: v for n, v in self.fixed.items() if n in constants and n not in excluded}
-        return dataclasses.replace(
-            self, base=base, fixed=_as_arrays(constants) | fixed, free=tuple(free),
-            priors=tuple(free.values()),
-            solvers=solvers_of(base, self.observations, process, free),
-        )  # fmt: skip
+        fixed = {n: v for n, v in self.fixed.items() if n not in excluded}
+        return _stated(self.observations, self.noise, base, process, fixed, free)
 
     def _with_noise(
         self, function: Callable[..., Any], values: Any, models: _Readings, draws: Any = None
@@ -315,12 +308,8 @@ def problem(
         raise ValueError("a solver has a process: give process or solver, not both")
     process = solver.process if solver else process or ILIT_2006
     base = _with_law(base, process, (*names, *fixed))
-    values = {n: v for n, v in {**parameters.of_iris(base), **fixed}.items() if n not in names}
     by_name = {n: priors.get(kind(n), PARAMETERS[kind(n)].prior) for n in expanded}
-    solvers = solvers_of(base, data, solver or process, by_name)
-    return Problem(
-        data, noise, base, _as_arrays(values), solvers, tuple(by_name), tuple(by_name.values())
-    )
+    return _stated(data, noise, base, solver or process, fixed, by_name)
 
 
 def elements(problem: Problem) -> int:
@@ -392,6 +381,22 @@ def _densities(problem: Problem, z: Float[Array, "n free"]) -> Any:
     return vmap_in_pieces(one, z, elements(problem))
 
 
+def _stated(
+    data: tuple[Observation, ...],
+    noise: Noise,
+    base: Iris,
+    by: AbstractProcess | AbstractSolver,
+    fixed: Mapping[str, Any],
+    free: Mapping[str, AbstractPrior],
+) -> Problem:
+    """The problem in which parameters are free, fixed or, if neither, those of `base`."""
+    names = set(map(kind, free))
+    values = {n: v for n, v in parameters.of_iris(base).items() if n not in names}
+    known = {n: jnp.asarray(fixed.get(n, v), jnp.result_type(float)) for n, v in values.items()}
+    solvers = solvers_of(base, data, by, free)
+    return Problem(data, noise, base, known, solvers, tuple(free), tuple(free.values()))
+
+
 def _with_law(base: Iris, process: AbstractProcess, names: Iterable[str]) -> Iris:
     """`base`, with a power law where one of its numbers is a parameter."""
     law = [n for n in names if n in OF_POWER_LAW]
@@ -431,7 +436,3 @@ def solvers_of(
 @eqx.filter_jit
 def _covers(table: RadiativeTabulated, iris: Iris, instrument: AbstractInstrument) -> Array:
     return table.holds(iris.layers(instrument.pigments, instrument.media.aqueous))
-
-
-def _as_arrays(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {n: jnp.asarray(v, jnp.result_type(float)) for n, v in values.items()}
