@@ -124,23 +124,22 @@ def polar_multilinear(
 
     With four textures, one of which may be idle, it takes two thirds of the time of three.
     """
-    rows, columns, channels = texture.shape
-    row, column = _polar_indices((rows, columns), angle, radius)
-    cells = _round_cell(row, rows), _cell(column, columns)
-    cells = [(below, above, weight[..., None]) for below, above, weight in cells]
-    return _interpolate(texture.reshape(-1, channels), (rows, columns), cells)
+    place = _polar_indices(texture.shape[:2], angle, radius)
+    return multilinear(texture, place, round_rows=True)
 
 
 def multilinear(
-    table: Float[Array, "*axes channels"], position: Sequence[Float[Array, "..."]]
+    table: Float[Array, "*axes channels"], position: Sequence[_Reals], *, round_rows: bool = False
 ) -> Float[Array, "... channels"]:
-    """Linear interpolation at fractional indices along every axis but the last, held at the ends.
+    """Linear interpolation at fractional indices along every axis but the last, held at the ends;
+    the first may run round instead.
 
     With four channels, one of which may be idle, this is two to three times as fast as `bilinear`
     of three textures.
     """
     *counts, channels = table.shape
-    cells = [_cell(x, count) for x, count in zip(position, counts, strict=True)]
+    kinds = (_round_cell if round_rows else _cell, *[_cell] * (len(counts) - 1))
+    cells = [cell(x, count) for cell, x, count in zip(kinds, position, counts, strict=True)]
     cells = [(below, above, weight[..., None]) for below, above, weight in cells]
     return _interpolate(table.reshape(-1, channels), counts, cells)
 
