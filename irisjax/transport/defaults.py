@@ -73,20 +73,17 @@ def table_for(indices: RefractiveIndices, process: AbstractProcess) -> AbstractS
         ValueError: If what is built is not accurate enough, and for other indices in radiative
             transfer.
     """
-    key = *_key(indices), process
-    table = _read(*key)
-    if table is not None:
-        return table
-    if not isinstance(process, Ilit):
+    table = _table(*_key(indices), process)
+    if table is None:
         raise ValueError("the table of radiative transfer has LB06's indices; use RadiativeExact")
-    return _built(*key)
+    return table
 
 
 def shipped_table(indices: RefractiveIndices) -> RadiativeTabulated | None:
     """The table of radiative transfer in the package; `None` for other or traced indices."""
     if not is_known(indices):
         return None
-    table = _read(*_key(indices), DEPTH_RESOLVED)
+    table = _table(*_key(indices), DEPTH_RESOLVED)
     return table if isinstance(table, RadiativeTabulated) else None
 
 
@@ -94,28 +91,25 @@ def _key(indices: RefractiveIndices) -> tuple[tuple[float, ...], str]:
     return tuple(float(n) for n in jax.tree.leaves(indices)), str(jnp.result_type(float))
 
 
-@functools.lru_cache(maxsize=8)
-def _built(indices: tuple[float, ...], dtype: str, process: Ilit) -> IlitTabulated:
-    media = RefractiveIndices(*(jnp.asarray(n, dtype) for n in indices))
-    return IlitTabulated.build(media, process)
-
-
-@functools.lru_cache(maxsize=8)
-def _read(indices: tuple[float, ...], dtype: str, process: AbstractProcess):
-    """The package's table, `None` unless it is of this process, its indices and its precision."""
+@functools.lru_cache(maxsize=16)
+def _table(indices: tuple[float, ...], dtype: str, process: AbstractProcess):
+    """The package's table, if it has one of this process, its indices and its precision; otherwise
+    one that is built, `None` for radiative transfer.
+    """
+    # Kept for other callers: nothing of a trace that may be going on here.
+    with jax.ensure_compile_time_eval():
+        media = RefractiveIndices(*(jnp.asarray(n, dtype) for n in indices))
     ilit = isinstance(process, Ilit)
     if ilit and (process != ILIT_2006 or dtype != "float64"):
-        return None
+        return IlitTabulated.build(media, process)
     name = "ilit/tables/ilit_2006.npz" if ilit else "radiative/tables/radiative.npz"
     with (resources.files("irisjax.transport") / name).open("rb") as file, np.load(file) as arrays:
         stored = dict(arrays)
     # Rounding of one library or another, or of single precision: not other tissue.
     rounding = 1e-14 if dtype == "float64" else 4 * float(jnp.finfo(dtype).eps)
     if not np.allclose(stored["indices"], indices, rtol=rounding, atol=0):
-        return None
-    # Kept for other callers: nothing of a trace that may be going on here.
+        return IlitTabulated.build(media, process) if ilit else None
     with jax.ensure_compile_time_eval():
-        media = RefractiveIndices(*(jnp.asarray(n, dtype) for n in indices))
         npz = {name: jnp.asarray(x, dtype) for name, x in stored.items()}
     if ilit:
         error = float(stored["error"])
