@@ -69,6 +69,7 @@ def texture_of(
     return plan_view(opacity, jnp.stack([coat.colour for coat in painting.coats]))
 
 
+@eqx.filter_jit
 def unrolled(
     picture: Float[Array, "rows columns"], eye: Eye, shape: tuple[int, int] = TEXTURE_SHAPE
 ) -> Float[Array, "angles radii"]:
@@ -82,7 +83,10 @@ def unrolled(
         check_whole(name, number, 2)
     if picture.shape[0] != picture.shape[1] or len(picture) < 2:
         raise ValueError(f"a picture of an iris has shape {picture.shape}; it must be square")
-    return _unrolled(picture, eye, (int(shape[0]), int(shape[1])))
+    angle, radius = (c.astype(picture.dtype) for c in cell_centres(shape))
+    away = eye.from_axis(radius).astype(picture.dtype)
+    x, y = jnp.outer(jnp.cos(angle), away), jnp.outer(jnp.sin(angle), away)
+    return look_up(picture, x, y, eye.iris_radius)
 
 
 def rolled(
@@ -113,11 +117,3 @@ def difference(
 @eqx.filter_jit
 def _delta(one, other):
     return jnp.sqrt(((lab_of_srgb(one) - lab_of_srgb(other)) ** 2).sum(-1))
-
-
-@eqx.filter_jit
-def _unrolled(picture, eye: Eye, shape: tuple[int, int]):
-    angle, radius = (c.astype(picture.dtype) for c in cell_centres(shape))
-    away = eye.from_axis(radius).astype(picture.dtype)
-    x, y = jnp.outer(jnp.cos(angle), away), jnp.outer(jnp.sin(angle), away)
-    return look_up(picture, x, y, eye.iris_radius)
