@@ -21,6 +21,7 @@ from irisjax.anatomy.sclera import sphere, vein_place
 from irisjax.io.images import encode_png, to_steps
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.interpolation import polar_bilinear, smoothstep
+from irisjax.ocularist.integrator import texel_places
 from irisjax.optics.conicoid import from_parts
 from irisjax.render.project import IrisPixels
 from irisjax.render.scene import Scene
@@ -194,7 +195,7 @@ def _iris_seen(
     """Textures, normals (x, y, z towards the viewer), share of the iris, and share of the sky that
     its relief leaves, in a square about it: shape (rows, columns, channels), the top row first.
     """
-    x, y = _square(side, eye.iris_radius)
+    x, y = map(jnp.ravel, texel_places(side, eye.iris_radius, textures.dtype))
     one = jnp.ones_like(x)
     pixels = IrisPixels(None, (x, y, eye.iris_depth * one), (0 * x, 0 * x, one), one, one)
     found = sample_textures(pixels, eye, jnp.moveaxis(textures, -1, 0))
@@ -215,7 +216,7 @@ def _white_seen(
     From the limbus on it blends with the root of the iris as in pictures.
     """
     globe = sphere(eye)
-    x, y = _square(side, globe.radius)
+    x, y = map(jnp.ravel, texel_places(side, globe.radius, white.dtype))
     r = jnp.minimum(jnp.hypot(x, y), globe.radius)
     place = vein_place(eye, from_parts([x, y, globe.apex + globe.sagitta(r)]))
     found = polar_bilinear(jnp.moveaxis(white, -1, 0), *place)
@@ -225,12 +226,6 @@ def _white_seen(
 
 def _rows(pixels: Float[Array, "channels pixels"], side: int) -> Array:
     return jnp.moveaxis(pixels.reshape(-1, side, side), 0, -1)
-
-
-def _square(side: int, half: Any) -> tuple[Array, Array]:
-    line = ((2 * jnp.arange(side) + 1) / side - 1) * half
-    x, y = jnp.meshgrid(line, -line)
-    return x.ravel(), y.ravel()
 
 
 def _disc(iris: "Trimesh") -> "Trimesh":

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
@@ -171,6 +172,11 @@ def look_up(texture: Array, x: Array, y: Array, reach: Scalar) -> Array:
     return bilinear(texture, *_texel(x, y, reach, texture.shape[-2:]))
 
 
+def texel_places(size: int, reach: Scalar, dtype: DTypeLike) -> list[Array]:
+    """x and y (mm) of the texels of such a picture, (size, size) each, row 0 at the top."""
+    return jnp.broadcast_arrays(*(v * reach for v in texels(size, dtype)))
+
+
 def _kept(steps: dict[Any, Any]) -> Callable[..., Any]:
     """Make a function that caches results of other functions by the identity of their arrays.
 
@@ -236,7 +242,7 @@ def _geometry(
 @eqx.filter_jit
 def _above_all(flux: Array, reach: Scalar, size: int) -> tuple[Array, Array]:
     """Directions of lights at texels of the base, and maps of light above all coats."""
-    x, y = _texels(size, reach, flux.dtype)
+    x, y = texel_places(size, reach, flux.dtype)
     at = jax.lax.map(lambda f: flux_at(f, reach, (x, y, x)), flux)
     rays = jnp.stack(_directed(tuple(jnp.moveaxis(at, 1, 0))), 1)
     return rays, jnp.ones((len(flux), size, size, _CHANNELS), flux.dtype)
@@ -256,7 +262,7 @@ def _crossed(
 ) -> Float[Array, "lights rows columns"]:
     """Opacity of a coat where rays to texels of the base cross it."""
     profile = extent.profile
-    x, y = _texels(rays.shape[-1], extent.reach, rays.dtype)
+    x, y = texel_places(rays.shape[-1], extent.reach, rays.dtype)
     r = safe_sqrt(x * x + y * y)
     cone = jnp.clip(jnp.searchsorted(profile.radius, r) - 1, 0, len(profile.z) - 2)
     normal = parts(profile.normal(jnp.stack([x, y, profile.height(r)], -1), cone))
@@ -330,7 +336,3 @@ def _texel(x, y, reach, shape: tuple[int, ...]):
     """Row and column of places in mm."""
     rows, columns = shape
     return (1 - y / reach) * (rows / 2) - 0.5, (1 + x / reach) * (columns / 2) - 0.5
-
-
-def _texels(size: int, reach, dtype):
-    return jnp.broadcast_arrays(*(v * reach for v in texels(size, dtype)))
