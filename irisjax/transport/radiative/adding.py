@@ -83,9 +83,13 @@ class AddingDoubling(AbstractSolver):
         return cls(max(cls.n_angles, resolution.moments_for(float(anisotropy))))
 
     def prepare(self, layers: Layers, light: Light) -> "AddingDoubling":
-        if self.n_doublings is not None:
+        if self.n_doublings is not None or not is_known(layers.extinction):
             return self
-        return AddingDoubling(self.n_angles, doublings_for(layers))
+        depth = np.asarray(layers.extinction)
+        # Layers that are not numbers are refused by the status; nothing helps them.
+        deepest = depth[np.isfinite(depth)].max(initial=_FIRST)
+        doublings = min(60, int(np.ceil(np.log2(max(deepest / _FIRST, 1.0)))))
+        return AddingDoubling(self.n_angles, doublings)
 
     @property
     def numbers_per_wavelength(self) -> int:
@@ -112,16 +116,6 @@ class AddingDoubling(AbstractSolver):
         if rays.exits is not None:
             angles &= resolution.brdf_resolved(layers, phase, self.n_angles)
         return flux.solution(resolution.status_of(layers, resolved, angles))
-
-
-def doublings_for(layers: Layers) -> int | None:
-    """Doublings needed for concrete layers; `None` for traced ones."""
-    if not is_known(layers.extinction):
-        return None
-    depth = np.asarray(layers.extinction)
-    # Layers that are not numbers are refused by the status; nothing helps them.
-    deepest = depth[np.isfinite(depth)].max(initial=_FIRST)
-    return min(60, int(np.ceil(np.log2(max(deepest / _FIRST, 1.0)))))
 
 
 def _one_wavelength(
