@@ -14,12 +14,8 @@ _LEAST = 1e-6  # variance that is added to every component
 
 
 class Mixture(NamedTuple):
-    """Normal distributions with their shares, in coordinates in which priors are of order one.
-
-    Attributes:
-        shares: They add up to one.
-        means: Of the components.
-        covariances: Of the components.
+    """Normal distributions with their shares, which add up to one, in coordinates in which priors
+    are of order one.
     """
 
     shares: Float[np.ndarray, " components"]
