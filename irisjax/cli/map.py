@@ -1,7 +1,8 @@
 """`irisjax map`: a hyperspectral cube in, maps of pigments and their standard deviations out."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections import UserDict
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -57,6 +58,7 @@ FLAGS = {
     PixelFlag.NO_POSTERIOR: "no posterior",
 }
 """Flags of pixels in words."""
+_OF_POSTERIOR = {"posterior_mean": "mean of the posterior", "posterior_sd": "sd of the posterior"}
 
 
 def _parse_range(text: str) -> tuple[float, float]:
@@ -170,7 +172,7 @@ def map_command(
     parts = KeptPieces(folder / _PARTS_FOLDER, repr([group.settings() for group in groups]), sample)
     parts.begin(files.resume)
     settings = _Fitting(problem, starts, flow, posterior.seed)
-    _fit(parts, _Pieces(source, settings, parts.done()), workers)
+    _fit(parts, source, settings, workers)
     with replacing(folder / "maps.nc") as temporary:
         counts = _write_maps(temporary, source, settings, measured, parts)
         _draw(temporary, folder, problem, outlines, posterior.posterior)
@@ -285,38 +287,30 @@ class _Fitting(NamedTuple):
     seed: int
 
 
-class _Pieces(Mapping[int, tuple[Any, ...]]):
-    """Arguments of `_fit_rows` for blocks of rows, by the first row; read when they are needed."""
+class _Pieces(UserDict[int, Any]):
+    """Arguments of `_fit_rows` by the first row; `read` makes them when they are needed."""
 
-    def __init__(self, source: Reflectances, settings: _Fitting, done: list[int]):
-        self.source, self._how = source, settings
-        rows, columns, _ = source.cube.shape
-        self._rows, self._step = rows, max(1, _CHUNK // columns)
-        self._left = [n for n in range(0, rows, self._step) if n not in set(done)]
-
-    def rows_of(self, first: int) -> int:
-        """Return the number of rows of a piece."""
-        return min(self._step, self._rows - first)
+    def __init__(self, names: Iterable[int], read: Callable[[int], tuple[Any, ...]]):
+        super().__init__(dict.fromkeys(names))
+        self._read = read
 
     def __getitem__(self, first: int) -> tuple[Any, ...]:
-        read = self.source.read(first, first + self.rows_of(first))
-        return *read, self._how
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self._left)
-
-    def __len__(self) -> int:
-        return len(self._left)
+        return self._read(first)
 
 
-def _fit(parts: KeptPieces, pieces: _Pieces, workers: Workers) -> None:
-    """Fit all pixels that are left."""
-    rows, columns, _ = pieces.source.cube.shape
-    pixels_done = columns * sum(pieces.rows_of(first) for first in parts.done())
-    with tqdm(total=rows * columns, initial=pixels_done, unit="pixel", disable=None) as bar:
+def _fit(parts: KeptPieces, source: Reflectances, settings: _Fitting, workers: Workers) -> None:
+    """Fit all pixels that are left, by blocks of rows."""
+    rows, columns, _ = source.cube.shape
+    step = max(1, _CHUNK // columns)
+    ends = {first: min(first + step, rows) for first in range(0, rows, step)}
+    left = ends.keys() - parts.done()
+    pixels_left = columns * sum(ends[first] - first for first in left)
+    pieces = _Pieces(sorted(left), lambda first: (*source.read(first, ends[first]), settings))
+    total, begun = rows * columns, rows * columns - pixels_left
+    with tqdm(total=total, initial=begun, unit="pixel", disable=None) as bar:
         for first, result in run_pieces(_fit_rows, pieces, workers):
             if isinstance(result, LostPiece):
-                place = f"{pieces.source.cube.path}, row {first} and those below"
+                place = f"{source.cube.path}, row {first} and those below"
                 raise ValueError(f"{place}: {result.reason}")
             flags, maps = result
             parts.add(first, {"flag": flags, **maps})
@@ -340,13 +334,12 @@ def _write_maps(
     def declare(name: str, *axes: str, **attributes_of_map: str) -> None:
         variables[name] = axes, "f4", {**attributes_of_map, "_FillValue": np.float32(np.nan)}
 
+    statistics = {"sd": "standard deviation"} | (_OF_POSTERIOR if flow is not None else {})
     for name in _map_names(problem):
         units = unit_of(name) or "1"
         declare(name, units=units, **priors.get(name, {}))
-        declare(f"{name}_sd", units=units, long_name=f"standard deviation of {name}")
-        for what in ("mean", "sd") if flow is not None else ():
-            description = f"{what} of the posterior of {name}"
-            declare(f"{name}_posterior_{what}", units=units, long_name=description)
+        for what, words in statistics.items():
+            declare(f"{name}_{what}", units=units, long_name=f"{words} of {name}")
     description = "covariance of the parameters in their units"
     declare("covariance", "parameter", "other", long_name=description)
     description = "sum of squared residuals over the number of bands"
@@ -440,25 +433,21 @@ def _draw(
     """Write pictures of the maps, and the maps for the renderers."""
     flags = read_map(temporary, "flag")
     extent, step = flags.shape, max(1, -(-max(flags.shape) // _PICTURE_SIDE))
-    maps = {n: (read_map(temporary, n, step), unit_of(n)) for n in _map_names(problem)}
-    misfit = {"reduced_chi_square": (read_map(temporary, "reduced_chi_square", step), "")}
-    figures = {"overview": maps_figure(maps | misfit, extent)}
-    figures["reduced_chi_square"] = maps_figure(misfit, extent)
+
+    def read(name: str, unit: str = "") -> tuple[np.ndarray, str]:
+        return read_map(temporary, name, step), unit
+
+    maps = {name: read(name, unit_of(name)) for name in _map_names(problem)}
+    panels = {name: {name: drawn} for name, drawn in maps.items()}
+    for name, (_, unit) in maps.items():
+        panels[name][f"standard deviation of {name}"] = read(f"{name}_sd", unit)
+        for what, words in _OF_POSTERIOR.items() if posterior else ():
+            panels[name][words] = read(f"{name}_{what}", unit)
+    for name in ("reduced_chi_square", *["efficiency"] * posterior):
+        panels[name] = {name: read(name)}
+    panels["overview"] = maps | panels["reduced_chi_square"]
+    figures = {name: maps_figure(drawn, extent) for name, drawn in panels.items()}
     figures["flag"] = flags_figure(flags[::step, ::step], {int(f): w for f, w in FLAGS.items()})
-    for name, (values, unit) in maps.items():
-        panels = {
-            name: values,
-            f"standard deviation of {name}": read_map(temporary, f"{name}_sd", step),
-        }
-        if posterior:
-            for what in ("mean", "sd"):
-                panels[f"{what} of the posterior"] = read_map(
-                    temporary, f"{name}_posterior_{what}", step
-                )
-        figures[name] = maps_figure({n: (x, unit) for n, x in panels.items()}, extent)
-    if posterior:
-        share = {"efficiency": (read_map(temporary, "efficiency", step), "")}
-        figures["efficiency"] = maps_figure(share, extent)
     data = {folder / f"{name}.png": picture(figure, ".png") for name, figure in figures.items()}
     if outlines is not None and problem.base.power_law is not None:
         opt.notice("no maps.exr: pictures support no power law of scattering")
