@@ -118,18 +118,19 @@ def fit_many(
             bar.set_description("eyes", refresh=False)
             bar.update(sum(not results.posteriors or rows[n]["status"] == FAILED for n in names))
         if output is not None and results.posteriors:
-            fitted = [n for n in eyes if n in names_left and table.rows[n]["status"] != FAILED]
             tasks: dict[str, tuple[Any, ...]] = {}
-            for n in fitted:
-                options = options_of({n: eyes[n]})
-                task = _EyeTask(n, eyes[n], arguments, options, output / n, sampler, results.resume)
-                tasks[n] = (task,)
+            for n, eye in eyes.items():
+                if n in names_left and table.rows[n]["status"] != FAILED:
+                    of_eye = n, eye, arguments, options_of({n: eye}), output / n
+                    tasks[n] = (_EyeTask(*of_eye, sampler, results.resume),)
             function: Any = _sample_posterior
             if results.posteriors == AMORTISED:
                 function, folder = _draw_by_flow, results.flows or output / "flows"
                 for chunk, options in chunks:
-                    flows = _find_flows(chunk, arguments, options, folder, sampler, fitted)
-                    tasks |= {n: (*tasks[n], path, table.rows[n]) for n, path in flows}
+                    if names := [n for n in chunk if n in tasks]:
+                        spectra = [eyes[n] for n in names]
+                        path = _find_flow(spectra, arguments, options, folder, sampler.seed)
+                        tasks |= {n: (*tasks[n], path, table.rows[n]) for n in names}
             for n, result in run_pieces(function, tasks, workers):
                 lost = isinstance(result, LostPiece)
                 changes = {"status": FAILED, "warnings": result.reason} if lost else result
@@ -299,34 +300,27 @@ class _EyeTask(NamedTuple):
         return ij.problem(spectrum, **self.options)
 
 
-def _find_flows(
-    chunk: Eyes,
+def _find_flow(
+    eyes: Sequence[Any],
     spectrum_arguments: Mapping[str, Any],
     options: Mapping[str, Any],
     folder: Path,
-    sampler: Sampler,
-    fitted: Sequence[str],
-) -> Iterator[tuple[str, Path]]:
-    """Find or train the file of the flow for each of some eyes on one grid."""
-    eyes = {n: m for n, m in chunk.items() if n in fitted and isinstance(m, Measured)}
-    if not eyes:
-        return
-    first = next(iter(eyes.values()))
-    problem = ij.problem(ij.spectrum(first, **spectrum_arguments), **options)
+    seed: int,
+) -> Path:
+    """Find or train the flow for the spectra of some eyes on one grid, and return its file."""
+    problem = ij.problem(ij.spectrum(eyes[0], **spectrum_arguments), **options)
     if problem.observations[0].sd is not None:
         # A flow for the noise that the files state, by powers of two so that other eyes share it.
         noise = problem.noise
-        modelled = [np.hypot(noise.relative * m.values, noise.absolute) for m in eyes.values()]
-        ratios = np.array([m.sd for m in eyes.values()]) / np.array(modelled)
+        modelled = [np.hypot(noise.relative * m.values, noise.absolute) for m in eyes]
+        ratios = np.array([m.sd for m in eyes]) / np.array(modelled)
         level = 2.0 ** np.round(np.log2(np.median(ratios)))
         noise = dataclasses.replace(
             noise, relative=noise.relative * level, absolute=noise.absolute * level
         )
         problem = dataclasses.replace(problem, noise=noise)
     with ThreadPoolExecutor(cores()) as pool:
-        path = flow_for(problem, folder, sampler.seed, pool.map)
-    for name in eyes:
-        yield name, path
+        return flow_for(problem, folder, seed, pool.map)
 
 
 def _draw_by_flow(eye: _EyeTask, path: Path, row: EyeRow) -> EyeRow:
@@ -344,10 +338,8 @@ def _draw_by_flow(eye: _EyeTask, path: Path, row: EyeRow) -> EyeRow:
     changes = {"efficiency": f"{efficiency:.3g}", "out_of_distribution": "yes" if unusual else "no"}
     if unusual:
         remark = "the model's own spectra do not look like this one"
-        changes |= {
-            "status": DOUBTFUL,
-            "warnings": "; ".join(filter(None, (row["warnings"], remark))),
-        }
+        warnings = "; ".join(filter(None, (row["warnings"], remark)))
+        changes |= {"status": DOUBTFUL, "warnings": warnings}
     if efficiency < EFFICIENT:
         return changes | _sample_posterior(eye)
     folder.mkdir(parents=True, exist_ok=True)

@@ -322,10 +322,8 @@ def _run_stages(
             last = results.stop_after == "pigments" or isinstance(stage_result, cloning.Coloured)
             # Figures are drawn while the posterior, which takes longest, is sampled.
             if comparison is None and isinstance(stage_result, cloning.Fitted) and last:
-                comparison, eye = (
-                    cloning.compare_with_photograph(stage_result),
-                    stage_result.scene().eye,
-                )
+                comparison = cloning.compare_with_photograph(stage_result)
+                eye = stage_result.scene().eye
                 pictures = comparison.photograph, comparison.rendered
                 radius = float(0.5 * (eye.pupil_radius + eye.iris_radius))
                 along = *comparison.arc(stage_result, radius), radius
@@ -353,13 +351,11 @@ def report(
     """Print the results, and doubts on standard error."""
     left, right, top, bottom = found.crop()
     rows, columns = found.photograph.shape
-    if found.boundaries.eyes > 1 or (right - left) * (bottom - top) < _SMALL_PART * rows * columns:
-        number = found.boundaries.eyes
-        several = f"of {number} eyes the one" if number > 1 else "the eye"
-        print(
-            f"{several} in columns {left} to {right}, rows {top} to {bottom} is cloned"
-            + (" (--eye takes another)" if number > 1 else "")
-        )
+    eyes = found.boundaries.eyes
+    if eyes > 1 or (right - left) * (bottom - top) < _SMALL_PART * rows * columns:
+        which = f"of {eyes} eyes the one" if eyes > 1 else "the eye"
+        other = " (--eye takes another)" if eyes > 1 else ""
+        print(f"{which} in columns {left} to {right}, rows {top} to {bottom} is cloned{other}")
     for doubt in doubts:
         opt.notice(f"WARNING: {doubt.sentence}")
     if isinstance(found, cloning.Posed):

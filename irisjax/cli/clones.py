@@ -31,19 +31,8 @@ from irisjax.photo.pigments import CONCENTRATIONS
 from irisjax.plot.beside import Later, here
 
 _FIRST_COLUMNS = ("file", "status", "doubts")
-_SINGLE_OPTIONS = (
-    "limbus",
-    "pupil",
-    "second",
-    "maps",
-    "freckles",
-    "visible",
-)  # options of one photograph
-_SHEET_PICTURES = (
-    "side_by_side.png",
-    COLOUR_FILES[1],
-    OVERLAY,
-)  # pictures of a folder, the best first
+_SINGLE_OPTIONS = ("limbus", "pupil", "second", "maps", "freckles", "visible")  # of one photograph
+_SHEET_PICTURES = "side_by_side.png", COLOUR_FILES[1], OVERLAY  # of a folder, the best first
 
 
 def clone_many(
@@ -70,21 +59,17 @@ def clone_many(
         return folder is not None and (folder / results.summary).exists()
 
     table.begin(results.resume, results.overwrite, is_done)
-    shared = (
-        None if workers.in_other_processes else draw
-    )  # what draws beside this process stays with it
+    # What draws beside this process stays with it.
+    shared = None if workers.in_other_processes else draw
     pieces = {
         name: (photographs[name], picture, model, results, folders[name], shared)
         for name in table.left()
     }
     with table.progress() as bar:
         for name, result in run_pieces(_clone_one, pieces, workers):
-            row = (
-                _first_cells(name, FAILED, result.reason)
-                if isinstance(result, LostPiece)
-                else result
-            )
-            table.add({name: row})
+            if isinstance(result, LostPiece):
+                result = _first_cells(name, FAILED, result.reason)
+            table.add({name: result})
             bar.set_description("photographs", refresh=False)
             bar.update()
     labels = {f"{name}: {table.rows[name]['status']}": folders[name] for name in photographs}

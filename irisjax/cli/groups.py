@@ -115,14 +115,10 @@ def _compare(one: FittedEyes, two: FittedEyes, seed: int) -> tuple[list[str], li
     rows: list[_Row] = []
     for i, name in enumerate(typical[0]):
         row: _Row = {"parameter": name, "unit": unit_of(name)}
-        (a, b), spreads_by_tag = (t[name] for t in typical), zip("ab", spread, strict=True)
-        row |= {
-            "mean_a": Interval.of(a),
-            "mean_b": Interval.of(b),
-            "difference": Interval.of(b - a),
-        }
-        row |= {"p_b_above_a": f"{(b > a).mean():.3g}"}
-        row |= {f"spread_{tag}": Interval.of(s[name]) for tag, s in spreads_by_tag}
+        a, b = (means[name] for means in typical)
+        row |= {"mean_a": Interval.of(a), "mean_b": Interval.of(b)}
+        row |= {"difference": Interval.of(b - a), "p_b_above_a": f"{(b > a).mean():.3g}"}
+        row |= {f"spread_{tag}": Interval.of(spread[k][name]) for k, tag in enumerate("ab")}
         for tag, group in zip("ab", populations, strict=True):
             is_parameter = i < len(one.priors)
             row[f"shrinkage_{tag}"] = f"{group.shrinkage[i]:.2g}" if is_parameter else ""

@@ -131,15 +131,12 @@ def _correlated_over(analysis: Analysis) -> float | None:
     `None` if wavelengths are too far apart to share pixels, or errors are stated as correlated.
     """
     observation, predicted = analysis.problem.observations[0], np.asarray(analysis.fit.predicted[0])
-    step = (
-        float(np.median(np.diff(np.asarray(observation.wavelengths))))
-        if predicted.size > _FEW
-        else 0
-    )
+    if predicted.size <= _FEW:
+        return None
+    step = float(np.median(np.diff(np.asarray(observation.wavelengths))))
     if not 0 < step <= _DENSE or observation.correlation_root is not None or observation.is_colour:
         return None
-    residual = np.asarray(observation.values) - predicted
-    residual = residual / np.abs(predicted)
+    residual = (np.asarray(observation.values) - predicted) / np.abs(predicted)
     correlation = np.correlate(residual, residual, "full")[residual.size - 1 :]
     # Values half a width apart have a correlation of one half after a moving average.
     return 2 * step * int(np.argmax(correlation < 0.5 * correlation[0]))

@@ -130,10 +130,8 @@ def _true_maps(iris: ij.Iris, distance: np.ndarray, azimuth: np.ndarray, key: ja
 
     # Limited, since the prior of the strength of scattering begins at 0.3.
     abl, stroma = sample(maps.abl_scale(iris)), np.clip(sample(maps.stroma_scale(iris)), *_STROMA)
-    eumelanin_scale, typical = (
-        sample(maps.eumelanin),
-        {n: float(v) for n, v in of_iris(iris).items()},
-    )
+    eumelanin_scale = sample(maps.eumelanin)
+    typical = {n: float(v) for n, v in of_iris(iris).items()}
     share, fraction = typical["pheomelanin_share"], typical["abl_fraction"]
     # Concentrations do not depend on thickness: thicker places have more of all pigments.
     depth = fraction * abl + (1 - fraction) * stroma
