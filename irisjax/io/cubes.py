@@ -12,15 +12,10 @@ import numpy as np
 from jaxtyping import Float
 
 from irisjax.infer.pixels import PixelFlag
-from irisjax.io.formats import read_spectral_table
+from irisjax.io.formats import UNITS, read_spectral_table
 from irisjax.io.tables import first_line, naming
 
-# Units of wavelengths by their factor to nm.
-_UNITS = {
-    1.0: ("nm", "nanometer", "nanometers", "nanometre", "nanometres"),
-    1e3: ("um", "µm", "μm", "micrometer", "micrometers", "micrometre", "micrometres", "micron",
-           "microns"),
-}  # fmt: skip
+_TO_NM = {"nm": 1.0, "um": 1e3}
 _BAND_AXES = ("wavelength", "wavelengths", "wl", "band", "bands", "lambda", "channel", "channels")
 _WIDTHS = ("fwhm", "bandwidth", "bandwidths")
 _SUFFIXES = ".hdr (ENVI), .nc (NetCDF), .zarr"
@@ -355,9 +350,8 @@ def _check_count(grid: np.ndarray | None, shape: tuple[int, int, int], where: st
 
 def _to_nm(grid: np.ndarray, unit: object) -> float:
     """Factor from the unit of wavelengths to nm; without a unit those below 100 are µm."""
-    text = str(unit or "").strip().lower()
-    scale = next((factor for factor, words in _UNITS.items() if text in words), None)
-    return (1e3 if np.median(grid) < 100 else 1.0) if scale is None else scale
+    named = (factor for name, factor in _TO_NM.items() if UNITS[name].search(str(unit or "")))
+    return next(named, 1e3 if np.median(grid) < 100 else 1.0)
 
 
 def _by(shape: tuple[int, ...]) -> str:
