@@ -129,7 +129,11 @@ def select(
     role, explicit = roles[spectra[0]], among is not None or column is not None
     if explicit and not requested and role not in _WITHOUT_ASKING:
         raise ValueError(_refusal(table, spectra[0], role))
-    sds = _deviations_of(spectra, table, roles) if sd is None else _lookup(table, sd, roles)[:1]
+    if sd is not None:
+        sds = _lookup(table, sd, roles)[:1]
+    else:  # of several scans there is none
+        stated = [j for j, name in roles.items() if name == SD and len(spectra) == 1]
+        sds = [j for j in stated if _owner(j, _values_among(roles), table) in spectra]
     if len(sds) > 1 and among is None:
         raise ValueError(f"{_legend(table, roles)}: two standard deviations; choose with --sd NAME")
     deviation = sds[0] if len(sds) == 1 else None
@@ -183,12 +187,6 @@ def _spectra(table: Columns, roles: dict[int, str], requested: str | None) -> li
             "differ in a number only, or whose values by noise; choose with --column NAME"
         )
     return spectra
-
-
-def _deviations_of(spectra: list[int], table: Columns, roles: dict[int, str]) -> list[int]:
-    """The standard deviations that belong to a spectrum; of several scans there is none."""
-    stated = [j for j, role in roles.items() if role == SD and len(spectra) == 1]
-    return [j for j in stated if _owner(j, _values_among(roles), table) in spectra]
 
 
 def _values_among(roles: dict[int, str]) -> list[int]:

@@ -56,9 +56,7 @@ def encode_contact_sheet(pictures: Mapping[str, Path | None]) -> bytes:
     sheet = Image.new("RGB", size, (255, 255, 255))
     draw = ImageDraw.Draw(sheet)
     for number, (words, path) in enumerate(pictures.items()):
-        left, top = (
-            n * s for n, s in zip((number % columns, number // columns), step, strict=True)
-        )
+        left, top = number % columns * step[0], number // columns * step[1]
         if path is not None:
             with Image.open(path) as image:
                 small = image.convert("RGB")

@@ -215,7 +215,9 @@ class _Page:
             if changes.get("photograph"):
                 self._beside()
             if "preset" in changes or changes.get("photograph"):
-                self._turn(clients)
+                for client in clients:
+                    if self._asked(client.camera):
+                        self._look(client.camera)
         self.panel.show_result(self.first)
         for name, widget in self.widgets.items():
             wanted = shown(name, getattr(self.studio.settings, name))
@@ -265,12 +267,6 @@ class _Page:
         slider, share = self.widgets["photograph"], self.studio.settings.photograph
         if slider.value == 0 and share:  # by a turn of the eye that the slider overtook
             slider.value = share
-
-    def _turn(self, clients) -> None:
-        """Put the browsers' cameras where the picture is seen from."""
-        for client in clients:
-            if self._asked(client.camera):
-                self._look(client.camera)
 
     def _asked(self, camera) -> dict[str, float]:
         """Settings of viser's camera, if others than those of the picture."""

@@ -174,14 +174,8 @@ class Studio(Session[Settings]):
 
     def _iris(self, s: Settings) -> Iris:
         iris = self._grown(s)[0]
-        return iris.replace(
-            eumelanin=s.eumelanin,
-            pheomelanin=s.pheomelanin,
-            abl_fraction=s.abl_fraction,
-            oxyhemoglobin=s.hemoglobin * s.saturation,
-            deoxyhemoglobin=s.hemoglobin * (1 - s.saturation),
-            stroma_thickness=iris.stroma_thickness * s.stroma,
-        )
+        pigments = {name: getattr(s, name) for name in SLIDER_PIGMENTS}
+        return iris.replace(**pigments, stroma_thickness=iris.stroma_thickness * s.stroma)
 
     def _set(self, s: Settings, size: tuple[int, int]) -> Scene:
         maps = self._grown(s)[1]
