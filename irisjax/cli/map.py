@@ -5,7 +5,7 @@ from collections import UserDict
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
@@ -119,17 +119,14 @@ class MapFiles(opt.Group, panel="Files"):
 
 
 class PixelPosterior(opt.Group, panel="Posterior"):
+    ONLY_WITH: ClassVar[opt.OnlyWith] = dict.fromkeys(("flows", "seed"), ("posterior", ()))
+
     posterior: bool = opt.flag(
         "mean and standard deviation of every pixel's posterior too, by a flow (extra posteriors) "
         "that is weighted by the exact likelihood"
     )
     flows: Path | None = flows_folder()
     seed: int = opt.seeded("posteriors")
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name in {"flows", "seed"} & set(self.typed) if not self.posterior else ():
-            raise ValueError(f"--{name} means something only with --posterior")
 
 
 @opt.grouped

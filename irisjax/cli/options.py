@@ -104,7 +104,8 @@ class Group:
     Attributes:
         PANEL: Heading of the options in the help.
         ONLY_WITH: Options that apply only if another option of the group has one of these values
-            (any value if there are none); otherwise it is an error to type them.
+            (any value, or a flag that is on, if there are none); otherwise it is an error to type
+            them.
         typed: The options that were typed on the command line, rather than set by defaults or a
             file.
     """
@@ -130,7 +131,8 @@ class Group:
         if name not in self.ONLY_WITH:
             return True
         other, values = self.ONLY_WITH[name]
-        return getattr(self, other) in values if values else getattr(self, other) is not None
+        given = getattr(self, other)
+        return given in values if values else given is not None and given is not False
 
     def settings(self) -> dict[str, Any]:
         """Return the options that apply and are set, from which the group can be made again."""

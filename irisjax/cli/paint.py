@@ -151,23 +151,19 @@ def paint_command(subject: PaintedEye, picture: PaintedPicture, results: Painted
     pictures = [f"{_COATS}/{coat.name.replace(' ', '_')}.png" for coat in painting.coats]
     mesh_files = {} if results.meshes is None else painting_files(painting, results.meshes, eye=eye)
     bodies = {f"{_MESHES}/{name}": data for name, data in mesh_files.items()}
-    eye_files = ("recipe.toml", "eye.png", "progression.png", *pictures, *bodies)
-    _check_inputs_kept(recipe, [folder / name for name in eye_files])
+    drawn = "eye.png", "progression.png", *pictures
+    _check_inputs_kept(recipe, [folder / name for name in ("recipe.toml", *drawn, *bodies)])
     files |= {**bodies, "recipe.toml": recipe_text(recipe.moved(folder)).encode()}
     coats = (over(1.0, c.opacity[..., None], c.colour, 1.0) for c in painting.coats)
     linear_pictures = (*_draw_pictures(scene, painting, picture), *coats)
-    for name, linear in zip(
-        ("eye.png", "progression.png", *pictures), linear_pictures, strict=True
-    ):
+    for name, linear in zip(drawn, linear_pictures, strict=True):
         encoded = np.asarray(srgb_encode(linear))
         files[name] = encode_picture(folder / name, encoded, "painted and simulated by irisjax")
     if results.tissue:
         tissue = nearest_tissue(painting, eye)
         files |= {f"{_TISSUE}/{name}": data for name, data in tissue_files(tissue, eye).items()}
-        messages.append(
-            f"mean colour difference (95 % below) of the nearest tissue: {tissue.left.mean:.1f} "
-            f"({tissue.left.q95:.1f})"
-        )
+        left = f"{tissue.left.mean:.1f} ({tissue.left.q95:.1f})"
+        messages.append(f"mean colour difference (95 % below) of the nearest tissue: {left}")
     written = {folder / name: data for name, data in files.items()}
     for path in {path.parent for path in written}:
         path.mkdir(parents=True, exist_ok=True)
@@ -252,10 +248,8 @@ def _match(
     differences = "; ".join(
         f"{w} {d.mean:.1f} ({d.q95:.1f})" for w, d in zip(stages, steps.values(), strict=True)
     )
-    message = (
-        f"mean colour difference (95 % below), CIE 1976, flat and in plain light: {differences}"
-    )
-    return combined, retouched.scans, files, [message]
+    measured = "mean colour difference (95 % below), CIE 1976, flat and in plain light"
+    return combined, retouched.scans, files, [f"{measured}: {differences}"]
 
 
 def _draw_pictures(
