@@ -106,7 +106,8 @@ def light(cosine=1.0, exits=None, azimuth=None):
 
 def filled(x, multiple):
     """The last entry repeated until the length is a multiple: fewer shapes, fewer programs."""
-    return jnp.concatenate([x, jnp.repeat(x[-1:], -len(x) % multiple, 0)])
+    x = np.asarray(x)
+    return jnp.asarray(np.concatenate([x, np.repeat(x[-1:], -len(x) % multiple, 0)]))
 
 
 def exact(process, n_angles=40):
@@ -126,19 +127,23 @@ def solve(solver, made, cosine=1.0, exits=None, azimuth=None):
     depths = ("abl_absorption", "stroma_absorption", "stroma_scattering")
     n, n_exits = len(made.abl_absorption), None if exits is None else len(exits)
     if exits is not None:
-        exits = filled(jnp.asarray(exits, float), 6)
-        azimuth = None if azimuth is None else filled(jnp.asarray(azimuth, float), 6)
+        exits = filled(exits, 6)
+        azimuth = None if azimuth is None else filled(azimuth, 6)
     lit = light(cosine, exits, azimuth)
     solver = solver.prepare(made, lit)
     made = dataclasses.replace(made, **{d: filled(getattr(made, d), 4) for d in depths})
     found = _solving(solver)(made, lit)
-    found = jax.tree.map(lambda x: x[:n] if jnp.ndim(x) else x, found)
+    # Cut by NumPy, which compiles nothing.
+    found = jax.tree.map(lambda x: jnp.asarray(np.asarray(x)[:n]) if jnp.ndim(x) else x, found)
     if exits is None:
         return found
+
+    def cut(x):
+        return jnp.asarray(np.asarray(x)[:, :n_exits])
+
     if found.polarisation is not None:
-        brdf = found.polarisation.brdf[:, :n_exits]
-        found = eqx.tree_at(lambda r: r.polarisation.brdf, found, brdf)
-    return eqx.tree_at(lambda r: r.brdf, found, found.brdf[:, :n_exits])
+        found = eqx.tree_at(lambda r: r.polarisation.brdf, found, replace_fn=cut)
+    return eqx.tree_at(lambda r: r.brdf, found, replace_fn=cut)
 
 
 def operations(f, *args, name=None):

@@ -2,7 +2,13 @@
 no code with it.
 """
 
-from mpmath import exp, lu_solve, matrix, mp, mpf, pi, quad, sin, sqrt
+import itertools
+from functools import partial
+
+from mpmath import exp, fsum, lu_solve, matrix, mp, mpf, pi, sin, sqrt
+from mpmath.calculus.quadrature import GaussLegendre
+
+_RULE = GaussLegendre(mp)
 
 
 def ilit_rayleigh(abl_absorption, stroma_absorption, stroma_scattering):
@@ -35,70 +41,48 @@ def _fresnel(mu, n, m):
 def _reflectance(a, tau, albedo, n_water, n_a, n_s, n_ipe):
     bottom, top = sqrt(1 - (n_s / n_a) ** 2), sqrt(1 - (n_water / n_a) ** 2)
 
-    def abl(share):
-        def integrand(mu):
-            f0, f1, t = _fresnel(mu, n_a, n_water), _fresnel(mu, n_a, n_s), exp(-a / mu)
-            return 2 * mu * share(f0, f1, t) / (1 - t * t * f0 * f1)
+    def abl(low, v):
+        """By v = √(μ² − low²), in which there is no kink at a critical angle."""
+        mu = sqrt(low * low + v * v)
+        f0, f1, t = _fresnel(mu, n_a, n_water), _fresnel(mu, n_a, n_s), exp(-a / mu)
+        passes = 2 * v * t / (1 - t * t * f0 * f1)
+        return [passes * x for x in (t * f1 * (1 - f0), 1 - f1, 1 - f0, t * f0 * (1 - f1))]
 
-        total = mpf(0)
-        for low, high in ((bottom, top), (top, mpf(1))):
-            span = sqrt(high * high - low * low)
-
-            def in_v(v, low=low):
-                mu = sqrt(low * low + v * v)
-                return integrand(mu) * v / mu
-
-            total += quad(
-                in_v,
-                [
-                    span * x
-                    for x in (0, mpf("0.001"), mpf("0.01"), mpf("0.05"), mpf("0.2"), mpf("0.5"), 1)
-                ],
-            )
-        return total
-
-    down_back = abl(lambda f0, f1, t: t * t * f1 * (1 - f0))
-    down_through = abl(lambda f0, f1, t: t * (1 - f1))
-    up_through = abl(lambda f0, f1, t: t * (1 - f0))
-    up_back = abl(lambda f0, f1, t: t * t * f0 * (1 - f1))
-
-    cuts = [mpf(x) for x in ("0", "0.001", "0.01", "0.03", "0.1", "0.2", "0.5", "1")]
-
-    def stroma(share):
-        def integrand(mu):
-            if mu <= 0:
-                return mpf(0)
-            f1, f2, t = _fresnel(mu, n_s, n_a), _fresnel(mu, n_s, n_ipe), exp(-tau / mu)
-            return share(mu, f1, f2, t) / (1 - f1 * f2 * t * t)
-
-        return quad(integrand, cuts)
-
-    moments = (lambda mu: mpf(1), lambda mu: (3 * mu * mu - 1) / 2)
-    strengths = (mpf(1) / 2, mpf(1) / 4)
-    first = [
-        stroma(lambda mu, f1, f2, t, p=p: 2 * mu * (1 - t) * (1 + f2 * t) * p(mu)) for p in moments
-    ]
-    again = [
-        [
-            stroma(
-                lambda mu, f1, f2, t, p=p, q=q: (
-                    (1 - t) * (f1 * (1 + f2 * t) + f2 * (1 + f1 * t)) * p(mu) * q(mu)
-                )
-            )
-            for q in moments
-        ]
-        for p in moments
-    ]
-    system = matrix(
-        [[int(i == j) - albedo * again[i][j] * strengths[j] for j in range(2)] for i in range(2)]
+    down_back, down_through, up_through, up_back = map(
+        fsum,
+        zip(
+            *(
+                _integrals(partial(abl, low), sqrt(high * high - low * low))
+                for low, high in ((bottom, top), (top, mpf(1)))
+            ),
+            strict=True,
+        ),
     )
-    solved = lu_solve(system, matrix(first))
-    source = [albedo * strengths[i] * solved[i] for i in range(2)]
-    back = stroma(
-        lambda mu, f1, f2, t: (
-            (1 - f1)
-            * (2 * mu * t * t * f2 + (1 + f2 * t) * (source[0] + source[1] * moments[1](mu)))
-        )
-    )
+
+    def stroma(mu):
+        f1, f2, t = _fresnel(mu, n_s, n_a), _fresnel(mu, n_s, n_ipe), exp(-tau / mu)
+        passes, p = 1 / (1 - f1 * f2 * t * t), (3 * mu * mu - 1) / 2
+        first = passes * 2 * mu * (1 - t) * (1 + f2 * t)
+        again = passes * (1 - t) * (f1 * (1 + f2 * t) + f2 * (1 + f1 * t))
+        out = passes * (1 - f1) * (1 + f2 * t)
+        straight = passes * (1 - f1) * 2 * mu * t * t * f2
+        return first, first * p, again, again * p, again * p * p, straight, out, out * p
+
+    first0, first1, b00, b01, b11, straight, out0, out1 = _integrals(stroma, mpf(1))
+    s0, s1 = albedo / 2, albedo / 4
+    system = matrix([[1 - b00 * s0, -b01 * s1], [-b01 * s0, 1 - b11 * s1]])
+    moment0, moment1 = lu_solve(system, matrix([first0, first1]))
+    back = straight + s0 * moment0 * out0 + s1 * moment1 * out1
     entered = 1 - _fresnel(mpf(1), n_water, n_a)
     return entered * (down_back + down_through * back * up_through / (1 - up_back * back))
+
+
+def _integrals(functions, end):
+    """Of several functions, from 0 to the end, over the same nodes of Gauss and Legendre."""
+    cuts = [end * mpf(x) for x in ("0", "0.001", "0.01", "0.03", "0.1", "0.2", "0.5", "1")]
+    total = None
+    for low, high in itertools.pairwise(cuts):
+        for x, weight in _RULE.get_nodes(low, high, 5, mp.prec):
+            values = [weight * y for y in functions(x)]
+            total = values if total is None else [s + y for s, y in zip(total, values, strict=True)]
+    return total

@@ -41,11 +41,8 @@ def test_matched_media_to_interface(name):
     """No interface reflects: into the stroma with 2E₃(τ_A), scattered once, half of it up, out with
     2E₃(τ_A).
     """
-    abl, absorption, scattering = (
-        np.array([0.0, 0.2, 1.0]),
-        np.array([0.1, 0.0, 0.5]),
-        np.array([0.3, 1.0, 0.05]),
-    )
+    depths = [[0.0, 0.2, 1.0], [0.1, 0.0, 0.5], [0.3, 1.0, 0.05]]
+    abl, absorption, scattering = np.array(depths)
     r = solve(PROCESSES[name], abl, absorption, scattering, MATCHED)
     through_abl, through_stroma = 2 * expn(3, abl), 2 * expn(3, absorption + scattering)
     events = through_abl * (1 - through_stroma)

@@ -46,14 +46,9 @@ def test_reference_table():
     columns = {n: np.array([float(r[n]) for r in rows]) for n in rows[0]}
     azimuth = np.radians(columns["phi_deg"])
     made = layers(0.0, 0.0, 0.5, (1.0, 1.0, 1.0, 1.0))
-    parts = [slice(k, k + 6) for k in range(0, len(rows), 6)]
-    found = np.concatenate(
-        [
-            np.asarray(solve(made, 0.2, columns["mu"][p], azimuth[p]).polarisation.brdf)[0]
-            for p in parts
-        ]
-    )
-    found = 0.2 * np.pi * found[:, :, 0]
+    parts = np.split(np.stack([columns["mu"], azimuth]), range(6, len(rows), 6), axis=1)
+    found = [np.asarray(solve(made, 0.2, *p).polarisation.brdf)[0] for p in parts]
+    found = 0.2 * np.pi * np.concatenate(found)[:, :, 0]
     # Their axes turn the other way round.
     for sign, name, k in ((1, "I", 0), (-1, "Q", 1), (1, "U", 2)):
         np.testing.assert_allclose(sign * found[:, k], columns[name], rtol=0, atol=2e-6)
@@ -117,21 +112,13 @@ def _dipole(cosine, exits, azimuth):
         c, s, across = np.cos(phi), np.sin(phi), np.sqrt(1 - mu**2)
         jones = np.array([[mu * c, mu * s, -across], [-s, c, 0]]) @ inward.T
         (ll, lr), (rl, rr) = jones
-        out.append(
-            ij.optics.stokes(
-                jnp.asarray(
-                    1.5
-                    * np.array(
-                        [
-                            [ll * ll, lr * lr, ll * lr, 0],
-                            [rl * rl, rr * rr, rl * rr, 0],
-                            [2 * ll * rl, 2 * lr * rr, ll * rr + lr * rl, 0],
-                            [0, 0, 0, ll * rr - lr * rl],
-                        ]
-                    )
-                )
-            )
-        )
+        matrix = [
+            [ll * ll, lr * lr, ll * lr, 0],
+            [rl * rl, rr * rr, rl * rr, 0],
+            [2 * ll * rl, 2 * lr * rr, ll * rr + lr * rl, 0],
+            [0, 0, 0, ll * rr - lr * rl],
+        ]
+        out.append(ij.optics.stokes(jnp.asarray(1.5 * np.array(matrix))))
     return np.array(out)
 
 

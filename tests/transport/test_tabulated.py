@@ -113,14 +113,6 @@ def test_the_table_that_is_shipped_is_the_one_that_is_built():
     assert jax.tree.structure(read.process) == jax.tree.structure(built.process)
 
 
-def test_the_table_that_is_shipped_agrees_with_the_exact_solver():
-    iris = ij.Iris.of_level("low")
-    grid = np.array([400.0, 550.0, 700.0])
-    by_table = ij.reflectance(iris, grid, solver=table_for(iris.indices(), ij.ILIT_2006))
-    exact = ij.reflectance(iris, grid, solver=ij.IlitExact(40))
-    np.testing.assert_allclose(by_table.values, exact.values, rtol=1e-9)
-
-
 def test_another_iris_gets_its_own_table(monkeypatch):
     build = ij.IlitTabulated.build
     small = functools.partial(build, n_intervals=8, tolerance=1.0)
