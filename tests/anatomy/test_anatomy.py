@@ -73,10 +73,8 @@ def test_depth_may_be_traced():
 
     def lands(depth):
         eye = Eye(iris_depth=depth)
-        k = jnp.asarray([2.0, 1.0])
-        return refract_to_iris(
-            eye, cornea_point(eye.cornea, k), jnp.asarray([0.0, 0.0, 1.0])
-        ).point[0]
+        entry = cornea_point(eye.cornea, jnp.asarray([2.0, 1.0]))
+        return refract_to_iris(eye, entry, jnp.asarray([0.0, 0.0, 1.0])).point[0]
 
     step = 1e-5
     depths = jnp.asarray([3.3, 3.6 - step, 3.6, 3.6 + step])

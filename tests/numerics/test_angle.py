@@ -28,9 +28,8 @@ def test_gradient_of_the_angle(dtype):
     angle = [*np.linspace(-3, 3, 25), np.pi / 4, -np.pi / 4, 3 * np.pi / 4, np.pi / 2]
     cosine, sine = np.cos(angle), np.sin(angle)
     slopes = jax.jit(jax.vmap(jax.grad(arctan2, (0, 1))))
-    y, x = slopes(
-        jnp.asarray(np.r_[2 * sine, 0.0], dtype), jnp.asarray(np.r_[2 * cosine, 0.0], dtype)
-    )
+    at = (jnp.asarray(np.r_[2 * v, 0.0], dtype) for v in (sine, cosine))
+    y, x = slopes(*at)
     np.testing.assert_allclose(y[:-1], cosine / 2, rtol=0, atol=1e-6)
     np.testing.assert_allclose(x[:-1], -sine / 2, rtol=0, atol=1e-6)
     assert y[-1] == 0

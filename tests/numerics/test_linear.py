@@ -21,7 +21,7 @@ def positive(n, many):
     return a @ np.swapaxes(a, 1, 2) + n * np.eye(n)
 
 
-@pytest.mark.parametrize(("n", "columns"), [(1, None), (7, 3), (50, 3)])
+@pytest.mark.parametrize(("n", "columns"), [(1, None), (50, 3)])
 def test_systems_are_solved_as_by_numpy(n, columns):
     a = dominant(n, 4)
     b = RNG.normal(size=(4, n) if columns is None else (4, n, columns))

@@ -174,13 +174,6 @@ def test_grading(x, to, start):
     assert graded_rise(x, to, to - x, start, np) == pytest.approx(rise, abs=1e-15)
 
 
-def test_grading_slope():
-    for start in (0.0, 0.01, 0.7):
-        for x in (0.1, 0.5, 0.9):
-            difference = (graded(x + 1e-6, start, np)[0] - graded(x - 1e-6, start, np)[0]) / 2e-6
-            assert graded(x, start, np)[1] == pytest.approx(difference, rel=1e-8)
-
-
 def test_refracted_is_snell():
     c2 = 1 - (1.336 / 1.4733) ** 2
     rule = rule_for(c2)

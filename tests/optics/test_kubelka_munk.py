@@ -9,15 +9,14 @@ import pytest
 from irisjax.optics.kubelka_munk import absorption_of, thick_layer, under_surface, without_surface
 
 
-@pytest.mark.parametrize("ratio", [1e-12, 1e-6, 0.01, 0.5, 2.0, 1e3, 1e8])
+@pytest.mark.parametrize("ratio", [1e-12, 0.01, 2.0, 1e8])
 def test_thick_layer_to_the_last_digit(ratio):
     """1 + K/S − √((K/S)² + 2K/S) in fifty digits."""
     with mpmath.workdps(50):
         q = mpmath.mpf(ratio)
         exact = float(1 + q - mpmath.sqrt(q * q + 2 * q))
-    assert float(thick_layer(jnp.asarray(ratio), jnp.asarray(1.0))) == pytest.approx(
-        exact, rel=1e-15
-    )
+    found = float(thick_layer(jnp.asarray(ratio), jnp.asarray(1.0)))
+    assert found == pytest.approx(exact, rel=1e-15)
     assert thick_layer(ratio, 1.0, xp=np) == pytest.approx(exact, rel=1e-15)
 
 

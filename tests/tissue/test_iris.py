@@ -75,15 +75,12 @@ F09_FIG_1 = dict(zip(FRACTIONS, (7.56, 5.84, 4.61, 2.11), strict=True))
 
 def test_volume_fractions_absorb_as_f09s_power_laws():
     """6.6e10 λ^−3.33 and 2.9e14 λ^−4.75 mm⁻¹, worked out by `bc` at 450 and 550 nm."""
-    eumelanin, pheomelanin = (
-        np.array([96.459779466, 49.446570979]),
-        np.array([72.383329748, 27.904562818]),
-    )
+    eumelanin = np.array([96.459779466, 49.446570979])
+    pheomelanin = np.array([72.383329748, 27.904562818])
     none = dict.fromkeys(("oxyhemoglobin", "deoxyhemoglobin", "lutein", "zeaxanthin"), 0.0)
     for intensification in (2.2, 1.0):
-        iris = ij.Iris(abl_thickness=0.1).replace(
-            **none, **F09_FIG_1, intensification=intensification
-        )
+        fields = none | F09_FIG_1 | {"intensification": intensification}
+        iris = ij.Iris(abl_thickness=0.1).replace(**fields)
         layers = iris.layers(ij.extinction(np.array([450.0, 550.0])))
         abl, stroma = layers.abl_absorption / 0.1, layers.stroma_absorption / H_S
         np.testing.assert_allclose(abl, 0.0756 * eumelanin + 0.0584 * pheomelanin, rtol=1e-9)
@@ -138,17 +135,11 @@ def test_melanin_load_and_fraction_inside_jit_and_grad():
     ("field", "value", "message"),
     [
         ("eumelanin", -0.1, r"^eumelanin = -0\.1 mg/ml is outside \[0, 2000\] mg/ml$"),
-        ("pheomelanin", float("nan"), r"^pheomelanin = nan mg/ml is outside \[0, 2000\] mg/ml$"),
         ("eumelanin", float("inf"), r"^eumelanin = inf mg/ml is outside"),
         ("abl_fraction", 1.2, r"^abl_fraction = 1\.2 is outside \[0, 1\]$"),
-        ("abl_fraction", -1e-9, r"^abl_fraction = -1e-09 is outside \[0, 1\]$"),
-        ("oxyhemoglobin", -1, r"^oxyhemoglobin = -1 mmol/l is outside"),
-        ("abl_thickness", -0.1, r"^abl_thickness = -0\.1 mm is outside \[0, 3\] mm$"),
         ("stroma_thickness", float("nan"), r"^stroma_thickness = nan mm is outside"),
-        ("base_index", 0.9, r"^base_index = 0\.9 is outside \[1, 3\]$"),
         ("stroma_index", 3.1, r"^stroma_index = 3\.1 is outside \[1, 3\]$"),
         ("collagen_fraction", 0.0, r"^collagen_fraction = 0 is outside \(0, 1\]$"),
-        ("fibril_radius", 0.0, r"^fibril_radius = 0 nm is outside \(0, 200\] nm$"),
         ("melanin_load", -1.0, r"^melanin_load = -1 ug/mm2 is outside \[0, 12000\] ug/mm2$"),
         ("melanin", 1.0, r"^unknown parameter 'melanin'.* known: melanin_load, hemoglobin, "),
         ("eumelanin", "much", r"^eumelanin must be a number, got 'much'$"),
@@ -189,24 +180,16 @@ def test_fields_are_arrays_so_that_values_do_not_retrace():
     assert len(traces) == 1
 
 
-def test_print():
-    text = repr(ij.Iris.of_level("low"))
-    assert text.startswith("Iris(\n")
-    assert "  eumelanin = 0.1201 mg/ml\n" in text
-    assert "  abl_fraction = 0.5\n" in text
-    assert "Traced" not in text
-
-
-def test_print_in_single_precision(float32):
-    assert "  eumelanin = 0.1201 mg/ml\n" in repr(ij.Iris.of_level("low"))
-
-
-def test_print_of_traced_and_batched():
-    seen = []
-    batch = jax.tree.map(lambda x: np.stack([x, x]), ij.Iris())
-    jax.eval_shape(lambda iris: seen.append(repr(iris)), ij.Iris())
-    for text in (*seen, repr(batch)):
+def test_print(bits):
+    del bits
+    seen, iris = [], ij.Iris.of_level("low")
+    batch = jax.tree.map(lambda x: np.stack([x, x]), iris)
+    jax.eval_shape(lambda iris: seen.append(repr(iris)), iris)
+    for text in (repr(iris), *seen, repr(batch)):
         assert text.startswith("Iris(\n  eumelanin = ")
+    assert "  eumelanin = 0.1201 mg/ml\n" in repr(iris)
+    assert "  abl_fraction = 0.5\n" in repr(iris)
+    assert "Traced" not in repr(iris)
 
 
 def test_albedo_and_coalbedo_sum_to_one():
