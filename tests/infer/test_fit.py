@@ -12,6 +12,7 @@ from scipy import stats
 from scipy.optimize import least_squares
 
 import irisjax as ij
+from experiments.closed_formulas import KubelkaMunk
 from irisjax.cli.sentences import information_lines
 from irisjax.infer import least_squares as search
 from irisjax.infer.fit import FitStatus, _status, fit, words_for
@@ -201,20 +202,21 @@ def test_misfit_is_no_failed_search(problem, measured):
     assert float(found.p_value) < 1e-6
     with pytest.raises(ValueError, match="does not produce these data"):
         fit(stepped, key=KEY, throw=True)
+    # In a compiled program too.
+    blue = ij.spectrum([450.0, 550, 650], [0.05, 0.02, 1e-3])
+    stepped = ij.problem(blue, free=["gain"], solver=KubelkaMunk())
     with pytest.raises(RuntimeError, match="does not produce these data"):
-        eqx.filter_jit(fit)(stepped, key=KEY, throw=True)
+        eqx.filter_jit(fit)(stepped, starts=1, throw=True)
 
 
 def test_blood_behind_a_slit():
-    """Data by quadrature over a slit of 20 nm, by which light of single wavelengths would have
-    23 % too little haemoglobin.
-    """
-    fine, grid = np.arange(350.0, 801, 1), ij.wavelengths(400, 700, 10)
-    spectrum = np.asarray(ij.reflectance(ij.Iris.of_level("low"), fine).values)
-    passed = np.exp(-4 * np.log(2) * ((fine - grid[:, None]) / 20) ** 2)
+    """Data by quadrature over a slit of 20 nm, as single wavelengths have less of blood's bands."""
+    fine, how = np.arange(350.0, 801, 1), {"solver": KubelkaMunk()}
+    spectrum = np.asarray(ij.reflectance(ij.Iris.of_level("low"), fine, **how).values)
+    passed = np.exp(-4 * np.log(2) * ((fine - GRID[:, None]) / 20) ** 2)
     values = (passed @ spectrum) / passed.sum(1)
-    seen = ij.spectrum(grid, values, sd=0.005 * values, bands=20.0)
-    stated = ij.problem(seen, fixed={"gain": 1.0, "noise": 1.0})
+    seen = ij.spectrum(GRID, values, sd=0.005 * values, bands=20.0)
+    stated = ij.problem(seen, fixed={"gain": 1.0, "noise": 1.0}, **how)
     found = fit(stated, use_priors=False, starts=1).values
     assert float(found["hemoglobin"]) == pytest.approx(0.084, rel=0.01)
     assert float(found["saturation"]) == pytest.approx(0.5, abs=0.01)

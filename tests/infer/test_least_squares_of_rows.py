@@ -23,24 +23,41 @@ def valley(x, weight, narrow):
 
 
 @eqx.filter_jit
-def in_lanes(rows, starts, lanes, max_steps=200, tolerance=1e-8, count=None):
+def compiled(rows, starts, lanes, max_steps, tolerance, count):
     solver = levenberg_marquardt(tolerance, tolerance)
     most = {"max_steps": max_steps, "count": count}
     return least_squares_of_rows(valley, rows, starts, solver=solver, lanes=lanes, **most)
 
 
+def in_lanes(rows=NARROW, starts=STARTS, lanes=4, max_steps=200, tolerance=1e-8, count=11):
+    rows, starts, count = map(jnp.asarray, (rows, starts, count))
+    return compiled(rows, starts, lanes, max_steps, tolerance, count)
+
+
 @pytest.fixture(scope="module")
 def four_lanes():
-    return in_lanes(jnp.asarray(NARROW), jnp.asarray(STARTS), 4)
+    return in_lanes()
+
+
+@eqx.filter_jit
+def singles(solver, narrow, start):
+    """Single searches, and where optimistix's own end."""
+
+    def single(row):
+        narrow, start = row
+        found = least_squares(valley, narrow, start, solver=solver)
+        other = optx.least_squares(lambda x, n: valley(x, 1.0, n)[0], solver, start, narrow)
+        return (found.x, found.cost, found.jacobian, found.aux, found.steps), other.value
+
+    return jax.lax.map(single, (narrow, start))
+
+
+def half_square(x, narrow):
+    return 0.5 * (valley(x, 1.0, narrow)[0] ** 2).sum(0)
 
 
 def test_rows_have_the_minima_of_single_searches(four_lanes):
-    @jax.jit
-    def single(narrow, start):
-        found = least_squares(valley, narrow, start)
-        return found.x, found.cost, found.jacobian, found.aux, found.steps
-
-    each = jax.lax.map(lambda row: single(*row), (jnp.asarray(NARROW), jnp.asarray(STARTS)))
+    each, _ = singles(levenberg_marquardt(), jnp.asarray(NARROW), jnp.asarray(STARTS))
     mine = four_lanes.x, four_lanes.cost, four_lanes.jacobian, four_lanes.aux, four_lanes.steps
     for found, expected in zip(mine, each, strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
@@ -48,26 +65,29 @@ def test_rows_have_the_minima_of_single_searches(four_lanes):
     assert (four_lanes.agreeing == 1).all()
 
 
-def test_a_search_reports_its_last_point():
-    """optimistix returns what the residuals were at the point before, beside the last one."""
-    rough, start = levenberg_marquardt(1e-2, 1e-2), jnp.array([-1.2, 2.0])
-    x, cost = jax.jit(lambda start: least_squares(valley, 3.0, start, solver=rough)[:2])(start)
-    expected = optx.least_squares(lambda x, narrow: valley(x, 1.0, narrow)[0], rough, start, 3.0)
-    np.testing.assert_allclose(x, expected.value, rtol=1e-9)
-    np.testing.assert_allclose(cost, 0.5 * (valley(x, 1.0, 3.0)[0] ** 2).sum(), rtol=1e-12)
+def test_the_minimum_is_the_last_point_that_was_reached():
+    """A search to a loose tolerance ends where optimistix's own does, not a step before, and has
+    the cost of that point: optimistix returns what the residuals were before.
+    """
+    rough, loose = levenberg_marquardt(1e-2, 1e-2), in_lanes(tolerance=1e-2)
+    (x, cost, *_), expected = singles(rough, jnp.asarray(NARROW), jnp.asarray(STARTS))
+    np.testing.assert_allclose(x, expected, rtol=1e-9)
+    np.testing.assert_allclose(cost, half_square(x.T, NARROW), rtol=1e-12)
+    np.testing.assert_allclose(loose.x, expected, rtol=1e-6)
+    np.testing.assert_allclose(loose.cost, half_square(loose.x.T, NARROW), rtol=1e-9)
 
 
 def test_a_row_does_not_depend_on_its_lane(four_lanes):
-    others = in_lanes(jnp.asarray(NARROW)[::-1], jnp.asarray(STARTS)[::-1], 4)
+    others = in_lanes(NARROW[::-1], STARTS[::-1])
     np.testing.assert_array_equal(others.x[::-1], four_lanes.x)
     np.testing.assert_array_equal(others.steps[::-1], four_lanes.steps)
-    more = in_lanes(jnp.asarray(NARROW), jnp.asarray(STARTS), 16)
+    more = in_lanes(lanes=16)
     np.testing.assert_allclose(more.x, four_lanes.x, rtol=1e-9)
 
 
 def test_a_search_that_does_not_end_says_so(four_lanes):
     most = int(np.median(four_lanes.steps))
-    few = in_lanes(jnp.asarray(NARROW), jnp.asarray(STARTS), 4, max_steps=most)
+    few = in_lanes(max_steps=most)
     exhausted = np.asarray(few.result == optx.RESULTS.nonlinear_max_steps_reached)
     np.testing.assert_array_equal(exhausted, np.asarray(four_lanes.steps) > most)
     assert 0 < exhausted.sum() < len(NARROW)
@@ -75,26 +95,9 @@ def test_a_search_that_does_not_end_says_so(four_lanes):
     np.testing.assert_array_equal(few.x[~exhausted], four_lanes.x[~exhausted])
 
 
-def test_the_minimum_is_the_last_point_that_was_reached():
-    """A search to a loose tolerance ends where optimistix's own does, not a step before."""
-
-    @jax.jit
-    def of_optimistix(narrow, start):
-        solver = levenberg_marquardt(1e-2, 1e-2)
-        return optx.least_squares(lambda x, _: valley(x, 1.0, narrow)[0], solver, start).value
-
-    loose = in_lanes(jnp.asarray(NARROW), jnp.asarray(STARTS), 4, tolerance=1e-2)
-    rows = jnp.asarray(NARROW), jnp.asarray(STARTS)
-    expected = jax.lax.map(lambda row: of_optimistix(*row), rows)
-    np.testing.assert_allclose(loose.x, expected, rtol=1e-6)
-    residuals = jax.vmap(lambda x, narrow: valley(x, 1.0, narrow)[0])(loose.x, rows[0])
-    np.testing.assert_allclose(loose.cost, 0.5 * (residuals**2).sum(1), rtol=1e-9)
-
-
 def test_a_row_that_is_no_number_fails_alone(four_lanes):
-    broken = jnp.asarray(NARROW).at[3].set(jnp.nan)
-    found = in_lanes(broken, jnp.asarray(STARTS), 4)
     others = np.arange(len(NARROW)) != 3
+    found = in_lanes(np.where(others, NARROW, np.nan))
     np.testing.assert_array_equal(found.x[others], four_lanes.x[others])
     assert found.agreeing[3] == 0
     assert np.isinf(found.cost[3])
@@ -102,7 +105,7 @@ def test_a_row_that_is_no_number_fails_alone(four_lanes):
 
 
 def test_the_first_rows_alone_are_searched(four_lanes):
-    some = in_lanes(jnp.asarray(NARROW), jnp.asarray(STARTS), 4, count=jnp.asarray(6))
+    some = in_lanes(count=6)
     np.testing.assert_array_equal(some.x[:6], four_lanes.x[:6])
     np.testing.assert_array_equal(some.steps[:6], four_lanes.steps[:6])
     assert not some.steps[6:].any()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
+from experiments.closed_formulas import KubelkaMunk
 from irisjax.infer.fit import fit
 from irisjax.infer.observation import with_values
 from irisjax.infer.pixels import (
@@ -27,7 +28,7 @@ FREE = ("melanin_load", "abl_fraction", "hemoglobin", "noise")
 
 @pytest.fixture(scope="module")
 def problem():
-    return ij.problem(ij.spectrum(GRID, np.zeros(GRID.size)), free=FREE, process=ij.ILIT_2006)
+    return ij.problem(ij.spectrum(GRID, np.zeros(GRID.size)), free=FREE, solver=KubelkaMunk())
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,6 @@
 """Noise and the likelihood: against scipy, limits, and each other."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -22,11 +23,17 @@ from irisjax.transport.solution import RESULTS
 GRID = ij.wavelengths(400, 700, 20)
 
 
-def stated(noise=None, sd=None, solver=None, **options):
+def stated(noise=None, solver=BeerLambert(), **options):  # noqa: B008
     """A problem by a closed formula, which is enough for noise, or by transport."""
-    y = np.linspace(0.02, 0.01, GRID.size)
-    solver = BeerLambert() if solver is None else solver
-    return ij.problem(ij.spectrum(GRID, y, sd), noise=noise, solver=solver, **options)
+    seen = ij.spectrum(GRID, np.linspace(0.02, 0.01, GRID.size))
+    return ij.problem(seen, noise=noise, solver=solver, **options)
+
+
+@eqx.filter_jit
+def evaluated(problem, z):
+    """The spectrum, the factor of the noise, log likelihood and log prior."""
+    rest = problem.values(z)["noise"], problem.log_likelihood(z), problem.log_prior(z)
+    return problem.predict(z)[0], *rest
 
 
 @pytest.mark.peer
@@ -73,13 +80,9 @@ def test_colours_are_those_of_the_colorimeter(quantity):
     ids=["normal", "student", "correlated"],
 )
 def test_likelihood_is_scipys(noise, distribution):
-    problem, z = stated(noise), np.random.default_rng(1).normal(size=7) * 0.3
-    (m,), factor, likelihood, prior = quick_jit(
-        lambda z: (
-            *(problem.predict(z), problem.values(z)["noise"]),
-            *(problem.log_likelihood(z), problem.log_prior(z)),
-        )
-    )(z)
+    problem = stated(noise, free=["melanin_load", "gain", "noise"])
+    z = np.random.default_rng(1).normal(size=3) * 0.3
+    m, factor, likelihood, prior = evaluated(problem, z)
     sd = float(factor) * np.hypot(0.03 * np.asarray(m), 1e-3)
     smooth = 0.05**2 * np.outer(m, m) * np.exp(-0.5 * ((GRID[:, None] - GRID) / 60) ** 2)
     wanted = distribution(np.asarray(problem.observations[0].values), np.asarray(m), sd, smooth)
@@ -114,9 +117,7 @@ def test_colour_likelihood_is_scipys():
     c = np.array([[2.0, 0.5, 0.1], [0.5, 1.0, -0.2], [0.1, -0.2, 0.5]]) * 1e-4
     seen = ij.colour_data([0.02, 0.02, 0.03], c)
     problem = ij.problem(seen, free=["melanin_load"], solver=BeerLambert())
-    (model,), found = quick_jit(lambda z: (problem.predict(z), problem.log_likelihood(z)))(
-        np.zeros(1)
-    )
+    model, _, found, _ = evaluated(problem, np.zeros(1))
     wanted = stats.multivariate_normal(np.asarray(model), c).logpdf([0.02, 0.02, 0.03])
     assert float(found) == pytest.approx(wanted, rel=1e-10)
 
@@ -130,7 +131,7 @@ def test_a_stated_covariance_is_the_likelihoods():
     seen = ij.spectrum(GRID[order], y[order], covariance=c[np.ix_(order, order)])
     problem = ij.problem(seen, free=["gain", "noise"], solver=BeerLambert())
     z = problem.standard({"gain": 1.01, "noise": 1.3})
-    (model,), found = quick_jit(lambda z: (problem.predict(z), problem.log_likelihood(z)))(z)
+    model, _, found, _ = evaluated(problem, z)
     wanted = stats.multivariate_normal(np.asarray(model), 1.3**2 * c).logpdf(y)
     assert float(found) == pytest.approx(wanted, rel=1e-9)
     np.testing.assert_allclose(seen.sd, np.sqrt(np.diag(c)))
@@ -168,20 +169,23 @@ def test_draws_have_the_stated_moments():
 
 def test_slopes_agree_with_differences():
     """The rule that wavelengths do not mix: forward, reverse, and a difference of the model."""
-    y = np.asarray(ij.reflectance(ij.Iris.of_level("low"), GRID).values)
     free = [name for name in PARAMETERS if name not in POWER_LAW_LIMITS]
-    problem = ij.problem(ij.spectrum(GRID, y), free=free)
+    problem = ij.problem(ij.spectrum(GRID, np.linspace(0.02, 0.01, GRID.size)), free=free)
     z = jnp.asarray(np.random.default_rng(3).normal(size=10) * 0.3)
 
     def residuals(x):
         return problem.evaluated(x)[0]
 
-    forward = quick_jit(jax.jacfwd(residuals))(z)
-    reverse = quick_jit(jax.jacrev(residuals))(z)
+    h = 1e-4
+
+    @quick_jit
+    def run(z):
+        steps = h * jnp.eye(10)
+        difference = jax.lax.map(lambda s: (residuals(z + s) - residuals(z - s)) / (2 * h), steps)
+        return jax.jacfwd(residuals)(z), jax.jacrev(residuals)(z), difference.T
+
+    forward, reverse, difference = run(z)
     np.testing.assert_allclose(forward, reverse, rtol=1e-9, atol=1e-10)
-    run, h = quick_jit(residuals), 1e-4
-    steps = np.eye(10) * h
-    difference = np.stack([(run(z + s) - run(z - s)) / (2 * h) for s in steps], 1)
     np.testing.assert_allclose(forward, difference, rtol=1e-4, atol=1e-5 * np.abs(forward).max())
 
 
@@ -204,15 +208,30 @@ def test_radiative_transfer_reads_as_its_table_does():
         np.testing.assert_allclose(mine, expected, rtol=2e-5)
 
 
-@pytest.mark.parametrize("scale", [0.01, 30.0])
-def test_what_scatters_less_or_more_than_usual_is_read_too(scale):
-    iris = ij.Iris.of_level("low").replace(scattering_scale=scale)
-    seen = ij.spectrum(GRID[5:], np.ones(GRID.size - 5))
-    problem = ij.problem(seen, base=iris, free=["melanin_load"], process=ij.DEPTH_RESOLVED)
-    z = problem.standard({"melanin_load": float(iris.melanin_load)})
-    expected = ij.reflectance(iris, GRID[5:], solver=ij.RadiativeExact()).values
-    found = quick_jit(lambda z: problem.predict(z)[0])(z)
-    np.testing.assert_allclose(found, expected, rtol=3e-5)
+def test_what_scatters_less_or_more_than_usual_is_read_too():
+    """By the table, as far as it goes: a prior that reaches beyond is computed without it, for the
+    table extrapolates there, and a chain would not know.
+    """
+    low, scale = ij.Iris.of_level("low"), "scattering_scale"
+
+    def of(iris, *free, **how):
+        seen = ij.spectrum(GRID[5:], np.ones(GRID.size - 5))
+        free = "melanin_load", *free
+        return ij.problem(seen, base=iris, free=free, process=ij.DEPTH_RESOLVED, **how)
+
+    beyond = of(low, scale, priors={scale: ij.infer.LogUniform(0.005, 400.0)})
+    assert isinstance(beyond.solvers[0].solver, ij.RadiativeExact)
+    assert isinstance(of(low, scale).solvers[0].solver, ij.RadiativeTabulated)
+    predict = eqx.filter_jit(lambda problem, z: (problem.predict(z)[0], problem.status(z)))
+    for factor in (0.01, 30.0):
+        values = {"melanin_load": float(low.melanin_load), scale: factor}
+        table = of(low.replace(scattering_scale=factor))
+        assert isinstance(table.solvers[0].solver, ij.RadiativeTabulated)
+        found, _ = predict(table, table.standard(values))
+        expected, _ = predict(beyond, beyond.standard(values))
+        np.testing.assert_allclose(found, expected, rtol=3e-5)
+    _, status = predict(beyond, beyond.standard({"melanin_load": 0.05, scale: 200.0}))
+    assert status == RESULTS.successful
 
 
 def test_spots_share_blood_but_not_melanin():
@@ -223,7 +242,8 @@ def test_spots_share_blood_but_not_melanin():
     assert problem.free == ("melanin_load@1", "melanin_load@2", "hemoglobin")
     z = jnp.asarray([0.5, -0.5, 0.2])
     single = ij.problem(two[1], **how)
-    np.testing.assert_allclose(problem.predict(z)[1], single.predict(z[1:])[0], rtol=1e-12)
+    found, expected = quick_jit(lambda z: (problem.predict(z)[1], single.predict(z[1:])[0]))(z)
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
     assert set(problem.reported(z)) >= {"melanin_load@1", "eumelanin@2"}
 
 
@@ -313,18 +333,3 @@ def test_densities_and_fits_do_not_depend_on_the_pieces(monkeypatch):
     assert int(found.agreeing) == 4
     for name in problem.free:
         assert float(found.values[name]) == pytest.approx(float(truth[name]), rel=1e-5)
-
-
-def test_a_prior_beyond_the_table_is_computed_without_it():
-    """Outside its range a table extrapolates, and a chain would not know."""
-    seen = ij.spectrum(np.array([400.0, 550.0]), np.full(2, 0.02))
-    free = ["melanin_load", "scattering_scale"]
-    how = {"process": ij.DEPTH_RESOLVED, "free": free}
-    within, beyond = (
-        ij.problem(seen, priors={"scattering_scale": prior}, **how)
-        for prior in (PARAMETERS["scattering_scale"].prior, ij.infer.LogUniform(0.3, 400.0))
-    )
-    assert isinstance(within.solvers[0].solver, ij.RadiativeTabulated)
-    assert isinstance(beyond.solvers[0].solver, ij.RadiativeExact)
-    deep = beyond.standard({"melanin_load": 0.05, "scattering_scale": 200.0})
-    assert quick_jit(lambda z: beyond.status(z))(deep) == RESULTS.successful
