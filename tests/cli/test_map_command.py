@@ -1,7 +1,5 @@
 """`irisjax map` and `irisjax simulate-cube`: files, flags, wrong input. Transport is `Quick`'s."""
 
-import inspect
-
 import h5netcdf
 import numpy as np
 import pytest
@@ -10,10 +8,8 @@ from refusals import one_line
 from cube_files import GRID, envi, listed, reflectances
 from irisjax import io
 from irisjax.cli import map as command
-from irisjax.cli import simulate_cube
-from irisjax.grow.procedural import procedural
 from irisjax.plot import flags_figure, maps_figure
-from irisjax.tissue.maps import IrisMaps
+from scene_files import without_growth
 
 FREE = ("--free", "melanin_load,abl_fraction,hemoglobin")
 OUTLINES = ("--limbus", "7.5,7.5,7.68,7.68,0", "--pupil", "7.5,7.5,2.56,2.56,0")
@@ -29,14 +25,8 @@ def few_starts(quick, monkeypatch):
 
 @pytest.fixture
 def made(irisjax, few_starts, tmp_path, monkeypatch):
-    """A simulated cube of 16 by 16 pixels, of maps that need no growing."""
-
-    def grown(iris, *given, shape, **options):
-        inspect.signature(procedural).bind(iris, *given, shape=shape, **options)
-        uneven = np.random.default_rng(0).uniform(0.5, 1.5, (2, 32, 16))
-        return IrisMaps(eumelanin=uneven[0], stroma_depth=uneven[1] * iris.stroma_thickness)
-
-    monkeypatch.setattr(simulate_cube, "procedural", grown)
+    """A simulated cube of 16 by 16 pixels."""
+    without_growth(monkeypatch)
     folder, grid = tmp_path / "cube", ",".join(f"{x:g}" for x in GRID)
     size = ("--process", "depth-resolved", "--size", 16, "--wavelengths", grid)
     size = (*size, "--relative-noise", 0.005)

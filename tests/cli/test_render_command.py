@@ -3,23 +3,18 @@
 import importlib
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image
 from refusals import one_line
 
 from irisjax import io
-from irisjax.anatomy.sclera import VeinMap
-from irisjax.grow import presets
-from irisjax.io import scenes
 from irisjax.io.scenes import parse_scene, read_scene
 from irisjax.measure.colour import srgb_encode
 from irisjax.render.camera import Camera
 from irisjax.render.picture import draw
 from irisjax.render.project import project_visible
-from irisjax.tissue.maps import IrisMaps
-from scene_files import BARE
+from scene_files import BARE, without_growth
 
 render = importlib.import_module("irisjax.cli.render")  # the package holds the command by this name
 
@@ -41,9 +36,7 @@ SPECTRAL = ("--spectral", "400:700:100", "-o", "layers.exr")
 
 @pytest.fixture(autouse=True)
 def _with_a_scene_in_its_folder(monkeypatch, tmp_path):
-    """What grows is tests/grow's."""
-    monkeypatch.setattr(presets, "procedural", lambda *_, **__: IrisMaps())
-    monkeypatch.setattr(scenes, "veins", lambda *_, **__: VeinMap(*jnp.ones((3, 8, 4))))
+    without_growth(monkeypatch)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scene.toml").write_text(BARE)
 

@@ -11,14 +11,12 @@ import numpy as np
 import pytest
 
 from irisjax import io
-from irisjax.grow import presets
 from irisjax.io import scenes
 from irisjax.io.scenes import SECTIONS, parse_scene, read_scene, scene_text
 from irisjax.io.sections import checked
 from irisjax.render.environment import Environment
 from irisjax.tissue import FRACTIONS
-from irisjax.tissue.maps import IrisMaps
-from scene_files import BARE
+from scene_files import BARE, without_growth
 
 
 def test_file_becomes_the_scene_it_says():
@@ -42,16 +40,13 @@ def test_file_becomes_the_scene_it_says():
     np.testing.assert_allclose(scene.lights.distance, [np.inf, away])
 
 
-@pytest.fixture
-def small(monkeypatch):
+@pytest.fixture(autouse=True)
+def _small(monkeypatch):
     """Scenes with maps of few texels."""
-    for name, shape in (("procedural", (96, 32)), ("veins", (128, 64))):
-        grow = functools.partial(getattr(scenes, name), shape=shape)
-        monkeypatch.setattr(scenes, name, grow)
+    without_growth(monkeypatch)
     monkeypatch.setattr(scenes, "lids", functools.partial(scenes.lids, texels=64))
 
 
-@pytest.mark.usefixtures("small")
 def test_another_pupil_grows_the_maps_for_it_or_presses_those_of_a_file(tmp_path):
     file = parse_scene("[eye]\nsclera = false\n")
     scene = file.scene()
@@ -70,7 +65,6 @@ def test_another_pupil_grows_the_maps_for_it_or_presses_those_of_a_file(tmp_path
     np.testing.assert_array_equal(after.maps.relief, before.maps.relief)
 
 
-@pytest.mark.usefixtures("small")
 def test_empty_file_is_the_default_eye():
     scene = parse_scene("").scene()
     assert scene.lights is not None and len(scene.lights) == 1 and scene.environment is None
@@ -83,9 +77,8 @@ def test_one_chamber_has_one_index():
     assert float(found.eye.aqueous_index) == pytest.approx(1.376)
 
 
-def test_the_eye_of_f09s_figure_1(monkeypatch):
+def test_the_eye_of_f09s_figure_1():
     """A preset's maps with melanins in per cent of volume; one that is missing is named."""
-    monkeypatch.setattr(presets, "procedural", lambda *_, **__: IrisMaps())  # none are looked at
     shares = dict(zip(FRACTIONS, (7.56, 5.84, 4.61, 2.11), strict=True))
     lines = [f"{name} = {value}" for name, value in shares.items()]
     text = "\n".join(["[iris]", 'preset = "green"', *lines, "[eye]", "sclera = false"])
@@ -150,7 +143,6 @@ illuminant = "A"
 ALONE = BARE + '[environment]\nkind = "sky"\nlights = 3\n'
 
 
-@pytest.mark.usefixtures("small")
 @pytest.mark.parametrize(
     ("text", "given"),
     [
@@ -167,7 +159,6 @@ def test_a_scene_as_a_file_is_read_back(text, given):
     assert eqx.tree_equal(scene, again, rtol=1e-6, atol=1e-6)
 
 
-@pytest.mark.usefixtures("small")
 def test_seeds_grow_other_maps():
     def relief(seed):
         scene = parse_scene(f"[maps]\nseed = {seed}\n[eye]\nsclera = false").scene()
