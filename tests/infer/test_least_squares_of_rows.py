@@ -7,11 +7,7 @@ import numpy as np
 import optimistix as optx
 import pytest
 
-from irisjax.infer.least_squares import (
-    least_squares,
-    least_squares_of_rows,
-    levenberg_marquardt,
-)
+from irisjax.infer.least_squares import least_squares, least_squares_of_rows, levenberg_marquardt
 
 # Rosenbrock's valley, as narrow as the row says: some searches take many times as long as others.
 NARROW = np.geomspace(0.1, 300.0, 11)

@@ -28,10 +28,7 @@ def _without_vessels(monkeypatch):
 def bare():
     """A bare iris in air, small: nothing to tabulate."""
     return Scene(
-        *grown(),
-        Eye(cornea=None, sclera=None),
-        camera=Camera(size=(16, 12)),
-        integrator=QUICK,
+        *grown(), Eye(cornea=None, sclera=None), camera=Camera(size=(16, 12)), integrator=QUICK
     )
 
 
