@@ -243,239 +243,167 @@ IAD = """IAD1 # Must be first four characters
 #lambda M_R M_T
 {rows}
 """
-# What each file holds is known by its words; beside it: how it is asked, whether it has an sd, and
-# what is said.
+
+
+def table(names, *columns, sep=",", **how):
+    return names + "\n" + rows(sep, GRID, *columns, **how)
+
+
+def role(text, said="", *, has_sd=False, **asked):
+    """What each file holds is known by its words; what is said, whether there is an sd, how it is
+    asked.
+    """
+    return text, asked, has_sd, said
+
+
 ROLES = {
-    "sd in a name": ("wavelength,reflectance,reflectance_sd\n" + rows(",", GRID, R, SD), {}, True, ""),
-    "StdDev": ("wavelength,reflectance,StdDev\n" + rows(",", GRID, R, SD), {}, True, ""),
-    "dR": ("lambda;R;dR\n" + rows(";", GRID, R, SD, decimal=","), {}, True, ""),
-    "u(R)": ("nm,R,u(R)\n" + rows(",", GRID, R, SD), {}, True, ""),
-    "French": (
-        "Longueur d'onde;Réflectance (%);écart-type\n" + rows(";", GRID, 100 * R, 100 * SD),
-        {},
-        True,
-        "",
+    "sd in a name": role(table("wavelength,reflectance,reflectance_sd", R, SD), has_sd=True),
+    "StdDev": role(table("wavelength,reflectance,StdDev", R, SD), has_sd=True),
+    "dR": role(table("lambda;R;dR", R, SD, decimal=",", sep=";"), has_sd=True),
+    "u(R)": role(table("nm,R,u(R)", R, SD), has_sd=True),
+    "French": role(
+        table("Longueur d'onde;Réflectance (%);écart-type", 100 * R, 100 * SD, sep=";"), has_sd=True
     ),
-    "a comment of numpy.savetxt": (
-        "# wavelength reflectance sd\n" + rows(" ", GRID, R, SD), {}, True, ""
+    "a comment of numpy.savetxt": role(
+        table("# wavelength reflectance sd", R, SD, sep=" "), has_sd=True
     ),
-    "scans and their mean": (
-        "nm,scan 1,scan 2,mean\n" + rows(",", GRID, 1.05 * R, 0.95 * R, 1.5 * R),
-        {},
-        True,
-        "'mean' left out",
+    "scans and their mean": role(
+        table("nm,scan 1,scan 2,mean", 1.05 * R, 0.95 * R, 1.5 * R), "'mean' left out", has_sd=True
     ),
-    "mean, least and largest": (
-        "nm,mean,min,max,std\n" + rows(",", GRID, R, 0.9 * R, 1.1 * R, SD), {}, True, "'min', 'max'"
+    "mean, least and largest": role(
+        table("nm,mean,min,max,std", R, 0.9 * R, 1.1 * R, SD), "'min', 'max'", has_sd=True
     ),
-    "sd by its name": ("nm,R,x\n" + rows(",", GRID, R, SD), {"column": "R", "sd": "x"}, True, ""),
-    "blocks": (
-        blocks(("a", "REFLECTANCE", R), ("a", "VARIANCE", SD**2)), {}, False, "'VARIANCE' left out"
+    "sd by its name": role(table("nm,R,x", R, SD), has_sd=True, column="R", sd="x"),
+    "blocks": role(
+        blocks(("a", "REFLECTANCE", R), ("a", "VARIANCE", SD**2)), "'VARIANCE' left out"
     ),
-    "a linked standard": (
+    "a linked standard": role(
         blocks(("PROCESSED", "Reflection (%)", 100 * R), ("DARK", "Reflection (%)", 0.1 + R)),
-        {},
-        False,
-        "'DARK: Reflection (%)' left out",
+        "'DARK: Reflection (%)' left out"
     ),
-    "blanks in labels": (
-        blocks(("a", "REFLECTANCE", R)).replace("##XYPOINTS=", "## XY_DATA = "), {}, False, ""
+    "blanks in labels": role(
+        blocks(("a", "REFLECTANCE", R)).replace("##XYPOINTS=", "## XY_DATA = ")
     ),
-    "SVC": (
-        "/*** Spectra Vista SIG Data ***/\nunits= Radiance, Radiance\ndata=\n"
-        + rows("  ", GRID, 34 + R, 34 * R, 100 * R),
-        {},
-        False,
-        "'radiance' left out",
+    "SVC": role(
+        table("/*** Spectra Vista SIG Data ***/\nunits= Radiance, Radiance\ndata=", 34 + R, 34 * R, 100 * R, sep="  "),
+        "'radiance' left out"
     ),
-    "Spectral Evolution": (
-        "Version: 2.2\nUnits: W/m^2\nColumns [4]:\nData:\nWvl\tRad. (Ref.)\tRad. (Target)\tReflect. %\n"
-        + rows("\t", GRID, 1 + R, R, 100 * R),
-        {},
-        False,
-        "",
+    "Spectral Evolution": role(
+        table("Version: 2.2\nUnits: W/m^2\nColumns [4]:\nData:\nWvl\tRad. (Ref.)\tRad. (Target)\tReflect. %", 1 + R, R, 100 * R, sep="\t")
     ),
-    "Cary": (cary(("Sample 1", R), below="\nSample 1\nY Mode   %R\n"), {}, False, "2 lines below"),
-    "Cary, one of a pair": (
-        cary(("Baseline", 30 * R), ("eye", R), ("iris", 2 * R)), {"column": "eye"}, False, "'eye %R' used"
+    "Cary": role(cary(("Sample 1", R), below="\nSample 1\nY Mode   %R\n"), "2 lines below"),
+    "Cary, one of a pair": role(
+        cary(("Baseline", 30 * R), ("eye", R), ("iris", 2 * R)), "'eye %R' used", column="eye"
     ),
-    "JASCO": (
-        "試料\t右眼\nXUNITS\tNANOMETERS\nYUNITS\tABSORBANCE\nXYDATA\n"
-        + rows("\t", GRID, -np.log10(R))
-        + "\n[コメント情報]\n",
-        {},
-        False,
-        "absorbance",
+    "JASCO": role(
+        "試料\t右眼\nXUNITS\tNANOMETERS\nYUNITS\tABSORBANCE\nXYDATA\n" + rows("\t", GRID, -np.log10(R))
+        + "\n[コメント情報]\n", "absorbance"
     ),
-    "Shimadzu": (
+    "Shimadzu": role(
         '"eye"\n"Wavelength nm.","R%"\n'
-        + "\n".join(f'"{x:.2f}","{100 * y:.5f}"' for x, y in zip(GRID, R, strict=True)),
-        {},
-        False,
-        "",
+        + "\n".join(f'"{x:.2f}","{100 * y:.5f}"' for x, y in zip(GRID, R, strict=True))
     ),
-    "PerkinElmer": (PERKIN_ELMER.format(unit="%R", rows=rows("\t", GRID, 100 * R)), {}, False, ""),
-    "a library of spectra": (
+    "PerkinElmer": role(PERKIN_ELMER.format(unit="%R", rows=rows("\t", GRID, 100 * R))),
+    "a library of spectra": role(
         "X Units: Wavelength (micrometers)\nY Units: Reflectance (percent)\n"
-        + rows("\t", [*GRID / 1000, 14.0], [*100 * R, 2.0]),
-        {},
-        False,
-        "1 of 32 wavelengths left out",
+        + rows("\t", [*GRID / 1000, 14.0], [*100 * R, 2.0]), "1 of 32 wavelengths left out"
     ),
-    "IAD, a number of columns": (
+    "IAD, a number of columns": role(
         IAD.format(slides=1.5, spheres=1, legend="2", rows=rows(" ", GRID, R, 0.5 * R)),
-        {},
-        False,
-        "--fix gain=0.920",
+        "--fix gain=0.920"
     ),
-    "IAD, letters": (
+    "IAD, letters": role(
         IAD.format(slides=1, spheres=0, legend="L t r R", rows=rows(" ", GRID, R / 2, R, 0.99 + 0 * R)),
-        {},
-        False,
-        "'M_R' used, 'M_T' left out",
+        "'M_R' used, 'M_T' left out"
     ),
-    "CGATS": (
+    "CGATS": role(
         CGATS.format(
             names="\t".join(f"SPECTRAL_NM_{x:.0f}" for x in GRID),
             values="\t".join(f"{v:.6g}" for v in R),
-        ),
-        {},
-        False,
-        "",
+        )
     ),
-    "light beside counts": (
+    "light beside counts": role(
         AVASOFT_OF_LIGHT.format(rows=rows(";", GRID, 3 + 0 * R, 64 + R, 12 + R, 100 * R)),
-        {"column": "Transmittance", "quantity": "reflectance"},
-        False,
-        "'Ref [counts]'",
+        "'Ref [counts]'", column="Transmittance", quantity="reflectance"
     ),
-    "JAZ": (
-        "W\tD\tR\tS\tP\n" + rows("\t", GRID, 900 + 0 * R, 900 + 3e4 + R, 900 + 3e4 * R, 100 * R),
-        {},
-        False,
-        "'reflectance (%)' used",
+    "JAZ": role(
+        table("W\tD\tR\tS\tP", 900 + 0 * R, 900 + 3e4 + R, 900 + 3e4 * R, 100 * R, sep="\t"),
+        "'reflectance (%)' used"
     ),
-    "ENVI": (
-        "Column 1: Wavelength\nColumn 2: iris~~1##255,0,0\n" + rows("  ", GRID, R), {}, False, ""
-    ),
-    "columns listed in a preamble": (
+    "ENVI": role(table("Column 1: Wavelength\nColumn 2: iris~~1##255,0,0", R, sep="  ")),
+    "columns listed in a preamble": role(
         "   wavelength   reflectance    standard deviation\n\niris AREF\ncopy of splib05a r 4000\n"
         + rows("   ", GRID / 1000, R, SD) + "\n 0.71  -1.23e34  0.0",
-        {},
-        True,
-        "1 of 32 wavelengths without a value",
+        "1 of 32 wavelengths without a value", has_sd=True
     ),
-    "deviations of zero": ("nm,R,sd\n" + rows(",", GRID, R, 0 * R), {}, False, "of zero are none"),
-    "relative": ("nm,R,rel. sd (%)\n" + rows(",", GRID, R, 3 + 0 * R), {}, True, ""),
-    "k = 2": ("nm,R,u (k=2)\n" + rows(",", GRID, R, 2 * SD), {}, True, ""),
-    "Portuguese": (
-        "Comprimento de onda (nm);Refletância (%);Desvio padrão\n"
-        + rows(";", GRID, 100 * R, 100 * SD, decimal=","),
-        {},
-        True,
-        "",
+    "deviations of zero": role(table("nm,R,sd", R, 0 * R), "of zero are none"),
+    "relative": role(table("nm,R,rel. sd (%)", R, 3 + 0 * R), has_sd=True),
+    "k = 2": role(table("nm,R,u (k=2)", R, 2 * SD), has_sd=True),
+    "Portuguese": role(
+        table("Comprimento de onda (nm);Refletância (%);Desvio padrão", 100 * R, 100 * SD, decimal=",", sep=";"),
+        has_sd=True
     ),
-    "quartiles": (
-        "nm,median,Q1,Q3,95% CI\n" + rows(",", GRID, R, 0.9 * R, 1.1 * R, R), {}, False, "'Q1', 'Q3'"
+    "quartiles": role(table("nm,median,Q1,Q3,95% CI", R, 0.9 * R, 1.1 * R, R), "'Q1', 'Q3'"),
+    "minus a logarithm": role(table("nm,-log10(R)", -np.log10(R)), "absorbance"),
+    "absorbance units": role(
+        table("Wavelength [nm],Sample,Dark,Reference,Absorbance [A.U.]", 900 + R, 900 + 0 * R, 3e4 + R, -np.log10(R)),
+        "absorbance"
     ),
-    "minus a logarithm": ("nm,-log10(R)\n" + rows(",", GRID, -np.log10(R)), {}, False, "absorbance"),
-    "absorbance units": (
-        "Wavelength [nm],Sample,Dark,Reference,Absorbance [A.U.]\n"
-        + rows(",", GRID, 900 + R, 900 + 0 * R, 3e4 + R, -np.log10(R)),
-        {},
-        False,
-        "absorbance",
+    "a ratio": role(table("nm,eye,white,eye/white", 0.5 * R, 0.5 + 0 * R, R), "'eye/white' used"),
+    "a wavelength in two units": role(
+        table("Wavelength;Wavenumber;Dark;%R", 1e7 / GRID, 900 + R, 100 * R, sep=";")
     ),
-    "a ratio": (
-        "nm,eye,white,eye/white\n" + rows(",", GRID, 0.5 * R, 0.5 + 0 * R, R), {}, False, "'eye/white' used"
+    "decimal commas in quotes": role(
+        '"nm","R%"\n' + "\n".join(f'"{x}","{100 * y:.6g}"'.replace(".", ",") for x, y in zip(GRID, R, strict=True))
     ),
-    "a wavelength in two units": (
-        "Wavelength;Wavenumber;Dark;%R\n" + rows(";", GRID, 1e7 / GRID, 900 + R, 100 * R), {}, False, ""
+    "scans of a numbered eye": role(
+        table("nm,eye1 0001,eye1 0002", 1.1 * R, 0.9 * R), "mean of 2 scans", has_sd=True
     ),
-    "decimal commas in quotes": (
-        '"nm","R%"\n' + "\n".join(f'"{x}","{100 * y:.6g}"'.replace(".", ",") for x, y in zip(GRID, R, strict=True)),
-        {},
-        False,
-        "",
-    ),
-    "scans of a numbered eye": (
-        "nm,eye1 0001,eye1 0002\n" + rows(",", GRID, 1.1 * R, 0.9 * R), {}, True, "mean of 2 scans"
-    ),
-    "a unit in each cell": (
+    "a unit in each cell": role(
         "Name;Wellenlänge;Remission\n"
-        + "\n".join(f"eye;{x:.0f} nm;{100 * y:.6g} %".replace(".", ",") for x, y in zip(GRID, R, strict=True)),
-        {},
-        False,
-        "",
+        + "\n".join(f"eye;{x:.0f} nm;{100 * y:.6g} %".replace(".", ",") for x, y in zip(GRID, R, strict=True))
     ),
-    "R's names of rows": (
+    "R's names of rows": role(
         '"wavelength" "value"\n'
-        + "\n".join(f'"{i}" {x} {y:.6g}' for i, (x, y) in enumerate(zip(GRID, R, strict=True), 1)),
-        {},
-        False,
-        "",
+        + "\n".join(f'"{i}" {x} {y:.6g}' for i, (x, y) in enumerate(zip(GRID, R, strict=True), 1))
     ),
-    "a sample in a long table": (
-        '"","sample","date","wavelength","value","sd"\n'
-        + "\n".join(
+    "a sample in a long table": role(
+        '"","sample","date","wavelength","value","sd"\n' + "\n".join(
             f'"{i}","eye, left","2024-03-04",{x},{y:.6g},{s:.6g}'
             for i, (x, y, s) in enumerate(zip(GRID, R, SD, strict=True), 1)
-        ),
-        {},
-        True,
-        "",
+        ), has_sd=True
     ),
-    "one of the samples of a long table": (
+    "one of the samples of a long table": role(
         "id\twavelength\tR (%)\tsd\n"
         + rows("\t", 1 + 0 * GRID, GRID, 200 * R, SD) + "\n" + rows("\t", 2 + 0 * GRID, GRID, 100 * R, 100 * SD),
-        {"column": "2"},
-        True,
-        "'1 R (%)', '1 R (%) sd' left out",
+        "'1 R (%)', '1 R (%) sd' left out", has_sd=True, column="2"
     ),
-    "scans of a long table": (
-        "scan;wavelength;quantity;value\n"
-        + "\n".join(
-            f"{scan};{x};{name};{f * y:.6g}"
-            for x, y in zip(GRID, R, strict=True)
+    "scans of a long table": role(
+        "scan;wavelength;quantity;value\n" + "\n".join(
+            f"{scan};{x};{name};{f * y:.6g}" for x, y in zip(GRID, R, strict=True)
             for scan, f in ((1, 0.9), (2, 1.1))
             for name, f in (("reflectance", f), ("transmittance", 0.2))
         ),
-        {},
-        True,
-        "mean of 2 scans",
+        "mean of 2 scans", has_sd=True
     ),
-    "exponents of Fortran": (
-        "nm R\n" + "\n".join(f"{x / 1000:.4f}D+03 {y:.6E}".replace("E", "D") for x, y in zip(GRID, R, strict=True)),
-        {},
-        False,
-        "",
+    "exponents of Fortran": role(
+        "nm R\n" + "\n".join(f"{x / 1000:.4f}D+03 {y:.6E}".replace("E", "D") for x, y in zip(GRID, R, strict=True))
     ),
-    "a row with a unit in each cell": (
+    "a row with a unit in each cell": role(
         "Data Name,Time," + ",".join(f"SCE {x:.0f}[nm]" for x in GRID) + "\neye,10:11,"
-        + ",".join(f"{100 * y:.6g}%" for y in R),
-        {},
-        False,
-        "",
+        + ",".join(f"{100 * y:.6g}%" for y in R)
     ),
-    "SCI and SCE behind the wavelengths": (
+    "SCI and SCE behind the wavelengths": role(
         "Name;" + ";".join(f"{x:.0f} nm ({kind})" for kind in ("SCI", "SCE") for x in GRID) + "\neye;"
-        + ";".join(f"{100 * y:.6g}" for y in (*1.4 * R, *R)),
-        {"column": "SCE"},
-        False,
-        "'eye SCE' used",
+        + ";".join(f"{100 * y:.6g}" for y in (*1.4 * R, *R)), "'eye SCE' used", column="SCE"
     ),
-    "remarks beside values": (
+    "remarks beside values": role(
         "time,wavelength,R,remark\n"
-        + "\n".join(f"10:11:{i:02},{x},{y:.6g},{'blink' * (i == 3)}" for i, (x, y) in enumerate(zip(GRID, R, strict=True))),
-        {},
-        False,
-        "",
+        + "\n".join(f"10:11:{i:02},{x},{y:.6g},{'blink' * (i == 3)}" for i, (x, y) in enumerate(zip(GRID, R, strict=True)))
     ),
-    "names two lines above": (
-        "file,a.asd,b.asd\nunit,Reflectance,Reflectance\n" + rows(",", GRID, R, 2 * R),
-        {"column": "a.asd"},
-        False,
-        "'a.asd Reflectance' used",
+    "names two lines above": role(
+        table("file,a.asd,b.asd\nunit,Reflectance,Reflectance", R, 2 * R),
+        "'a.asd Reflectance' used", column="a.asd"
     ),
 }  # fmt: skip
 
