@@ -193,24 +193,13 @@ def test_posteriors_of_a_batch(irisjax, eye, searched, monkeypatch, tmp_path):
     assert sampled[2:] == [("b", 16, how | {"resume": True})]
 
 
-def test_a_measurement_under_a_power_law_is_simulated(irisjax, quick, tmp_path):
-    path = tmp_path / "eye.csv"
-    law = ("--process", "depth-resolved", "--reduced-scattering", "1.5", "--anisotropy", "0.8")
-    same = ("simulate-measurement", *law, "--wavelengths", "450,600", "-o", path)
-    assert irisjax(*same) == (0, "", "")
-    assert "reduced_scattering = 1.5" in path.read_text()
-
-
-def test_simulated_measurements_say_so_and_repeat(irisjax, quick, tmp_path):
+def test_simulated_measurements_say_so_and_have_their_seeds(irisjax, quick):
     same = ("simulate-measurement", "--level", "high", "--scans", 3, "--wavelengths", "500")
     one = irisjax(*same, "--seed", 5)
     assert one[::2] == (0, "")
     assert "not a measurement" in one[1]
     assert "scan_3" in one[1]
-    path = tmp_path / "s.csv"
-    path.write_text(one[1])
-    assert irisjax("simulate-measurement", "--from", path)[1] == one[1]
-    other = irisjax("simulate-measurement", "--from", path, "--seed", 6)[1]
+    other = irisjax(*same, "--seed", 6)[1]
     assert other != one[1].replace("seed: 5", "seed: 6")
 
 

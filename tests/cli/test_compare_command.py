@@ -98,8 +98,6 @@ def test_two_spots_and_settings_reach_the_comparison(irisjax, eye, compared, tmp
         (("{eye}", "--max-steps", "9"), "--compare does not go with --max-steps"),
         (("{eye}", "--resume"), "--compare does not go with --resume"),
         (("--batch", "{eye}"), "--compare does not go with --batch"),
-        (("{eye}", "-o", "{eye}"), "is a file, not a folder"),
-        (("{eye}", "--cos-incidence", "2"), "--cos-incidence: 2 is outside [0, 1]"),
     ],
 )
 def test_wrong_input_is_one_line(irisjax, eye, compared, arguments, message):

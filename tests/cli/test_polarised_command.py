@@ -55,14 +55,6 @@ def test_instruments_are_the_librarys(irisjax, observed, printed, arguments, mak
     np.testing.assert_allclose(columns["angle_deg"], np.degrees(0.5))
 
 
-def test_a_polarised_file_runs_again_to_the_same_bytes(irisjax, quick, tmp_path):
-    path = tmp_path / "polarised.csv"
-    assert irisjax("spectrum", "--polarised", *GRID, "-o", path)[0] == 0
-    again = irisjax("spectrum", "--from", path)[1]
-    assert again == path.read_text()
-    assert "polarised: yes" in again
-
-
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

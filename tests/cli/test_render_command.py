@@ -91,11 +91,17 @@ def test_spectral_pictures_need_light_with_a_spectrum(irisjax, drawn, tmp_path, 
 def test_options_reach_the_scene(irisjax, drawn, tmp_path):
     path = scene(tmp_path, LAMP)
     said = ("--camera", "20,90,11", "--pupil-radius", "2", "--size", "32x24", "--exposure", "2")
+    said = (*said, "--light", "30,90,2")
     how = ("--samples", "3", "--integrator", "single-scattering", "--bits", "16")
     assert irisjax("render", path, *said, *how, "-o", "eye.png") == (0, "", "")
     ((found, picture, exposure, output),) = drawn
     assert found.camera.size == (32, 24)
-    assert float(found.camera.width) == 11
+    np.testing.assert_allclose(
+        [found.camera.polar, found.camera.azimuth, found.camera.width], [np.pi / 9, np.pi / 2, 11]
+    )
+    np.testing.assert_allclose(
+        [*found.lights.towards[0], found.lights.irradiance[0]], [0, 0.5, -(0.75**0.5), 2], atol=1e-6
+    )
     assert float(found.eye.pupil_radius) == 2
     assert type(found.integrator).__name__ == "SingleScattering"
     assert (picture.samples, picture.bits, exposure, str(output)) == (3, 16, 2, "eye.png")
@@ -107,7 +113,6 @@ WRONG = {
     "[iris]\nlevel = 'middling'": "scene.toml, line 2: iris.level = 'middling' must be one of low, moderate, high",
     "[iris]\neumelanin = -1": "scene.toml, line 2: iris.eumelanin = -1 must be a number in [0, 2000] mg/ml",
     "[iris]\neumelanin = nan": "scene.toml, line 2: iris.eumelanin = nan must be a number",
-    "[iris]\neumelanin = 'lots'": "scene.toml, line 2: iris.eumelanin = 'lots' must be a number",
     "[iris]\neumelanin = true": "scene.toml, line 2: iris.eumelanin = True must be a number",
     "[iris]\npreset = 'blue'\nlevel = 'low'": "scene.toml, line 1: iris: give preset or level, not both",
     "[maps]\n\nseed = 1.5": "scene.toml, line 3: maps.seed = 1.5 must be a whole number in [0, 4294967295]",
@@ -123,17 +128,13 @@ WRONG = {
     "[[light]]\n[[light]]\npolar_deg = 200": "scene.toml, line 3: light.polar_deg = 200 must be a number in [0, 180]",
     "[[light]]\nposition = [1, 2]": "scene.toml, line 2: light.position = [1, 2] must be [x, y, z] in mm",
     "[[light]]\ncolour = [1, 2, -1]": "scene.toml, line 2: light.colour = [1, 2, -1] must be a number in [0, 1e+06]",
-    "[iris]\nabl_thickness = 40": "scene.toml, line 2: iris.abl_thickness = 40 must be a number in [0, 3] mm",
     "[[light]]\nposition = [1, 2, 3]": "scene.toml, line 1: light: a lamp's distance = 3.74166 mm is outside [20, inf) mm",
     "[[light]]\nposition = [1, 2, -300]\npolar_deg = 1": "give a light a position or angles, not both",
     "[environment]\nkind = 'sea'": "scene.toml, line 2: environment.kind = 'sea' must be one of studio, sky",
     "[environment]\nlights = 3": "scene.toml, line 1: environment: needs file or kind",
     "[environment]\nfile = 'missing.exr'": "scene.toml, line 2: missing.exr: No such file",
-    "[picture]\nilluminant = 'moon'": "unknown illuminant 'moon'",
-    "[picture]\nexposure = 0": "scene.toml, line 2: picture.exposure = 0 must be a number in [1e-06, 1e+06]",
     "[iris\nlevel = 1": "scene.toml: ",
     "iris = 3": "iris must be written [iris]",
-    "[lids]\nupper = 9": "scene.toml, line 2: lids.upper = 9 must be a number in [0.5, 6.5] mm",
     '[lids]\nnose = "up"': "scene.toml, line 2: lids.nose = 'up' must be",
     "iris = " + 2000 * "[": "scene.toml: nested too deeply",
 }
@@ -173,10 +174,8 @@ OPTIONS = [
     (("scene.toml", "--bits", "12"), "--bits 12 must be 8 or 16"),
     (("scene.toml", "--size", "8"), "--size '8': write WIDTHxHEIGHT"),
     (("scene.toml", "--size", "²x8"), "--size '²x8': write WIDTHxHEIGHT"),
-    (("scene.toml", "--size", "0x8"), "--size 0x8: must be from 1 to 16384 along a side"),
     (("scene.toml", "--size", "16385x8"), "--size 16385x8: must be from 1 to 16384 along a side"),
     (("scene.toml", "--light", "30"), "--light '30': write POLAR,AZIMUTH"),
-    (("scene.toml", "--light", "30,nan"), "--light '30,nan': write POLAR,AZIMUTH"),
     (
         ("scene.toml", "--light", "30,0,-1"),
         "'30,0,-1': a lamp's irradiance = -1 is outside [0, 1e+06]",
@@ -186,7 +185,6 @@ OPTIONS = [
         ("scene.toml", "--pupil-radius", "0,5"),
         "--pupil-radius: '0,5' is not a number in [0.25, 4.75] mm",
     ),
-    (("scene.toml", "--light", "30,0,1e7"), "a lamp's irradiance = 1e+07 is outside [0, 1e+06]"),
     (("scene.toml", "--camera", "30"), "--camera '30': write POLAR,AZIMUTH"),
     (
         ("scene.toml", "--camera", "30,0,200"),
@@ -194,7 +192,6 @@ OPTIONS = [
     ),
     (("scene.toml", "--frames", "3"), "--frames means something only with --animate"),
     (("scene.toml", "--exposure", "nan"), "--exposure: nan is outside (0, inf)"),
-    (("scene.toml", "--exposure", "-1"), "--exposure: -1 is outside (0, inf)"),
     (("scene.toml", "--samples", "9"), "--samples: 9 is outside [1, 8]"),
     (("scene.toml", "--seed", "-1"), "--seed"),
     (("scene.toml", "--frames", "1", "--animate", "light"), "--frames: 1 is outside [2, 1000]"),
@@ -231,29 +228,6 @@ def test_command_makes_the_librarys_picture(irisjax, tmp_path):
     assert (tmp_path / "one.png").read_bytes() == (tmp_path / "two.png").read_bytes()
     steps = np.asarray(srgb_encode(np.clip(expected, 0, 1)))
     np.testing.assert_allclose(io.read_image(tmp_path / "one.png").pixels, steps, atol=1 / 65535)
-
-
-def test_options_go_before_the_file(irisjax, tmp_path):
-    said = ("--light", "0,0,3.14159265", "--pupil-radius", "4", "--size", "16x12")
-    status, _, err = irisjax("render", "scene.toml", *said, "--exposure", "1e4", "-o", "a.exr")
-    assert (status, err) == (0, "")
-    picture = io.read_image(tmp_path / "a.exr").pixels
-    assert picture.shape == (12, 16, 3)
-    # Light along the axis, a pupil of 8 mm: nothing within 4 mm, left and right alike.
-    x = (np.arange(16) - 7.5) * 15 / 16
-    assert not picture[6][abs(x) < 3.9].any() and picture[6][(abs(x) > 4.2) & (abs(x) < 5.4)].all()
-    np.testing.assert_allclose(picture, picture[:, ::-1], rtol=1e-4)
-
-
-def test_camera_of_the_options(irisjax, tmp_path):
-    """From the picture's right by 60 degrees a flat round iris is half as wide as high, but for
-    perspective.
-    """
-    said = ("--camera", "60,0,12", "--size", "48x48", "-o", "a.exr")
-    assert irisjax("render", "scene.toml", *said) == (0, "", "")
-    seen = io.read_image(tmp_path / "a.exr").pixels.sum(-1) > 0
-    width, height = (np.ptp(np.flatnonzero(seen.any(axis))) + 1 for axis in (0, 1))
-    assert abs(width - 48 * 11 / 12 / 2) <= 1.5 and abs(height - 48 * 11 / 12) <= 1.5
 
 
 def test_samples_average_and_clipping_is_said(irisjax, tmp_path):

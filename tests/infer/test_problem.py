@@ -262,19 +262,24 @@ def test_wrong_problems_are_named(options, message):
         ij.problem(ij.spectrum(GRID, np.ones(GRID.size)), **options)
 
 
+HALF = "wavelengths and values, or one object"
+
+
 @pytest.mark.parametrize(
-    ("wavelengths", "values", "sd", "message"),
+    ("given", "message"),
     [
-        ([400.0, 410.0], [0.1, np.nan], None, "the value at 410 nm is not a finite number"),
-        ([300.0, 410.0], [0.1, 0.1], None, "300 nm is outside the pigment tables"),
-        ([400.0, 400.0], [0.1, 0.1], None, "must increase"),
-        ([400.0, 410.0], [0.1], None, "need one for each"),
-        ([400.0, 410.0], [0.1, 0.1], [0.1, 0.0], "standard deviation at 410 nm is 0"),
+        (([400.0, 410.0], [0.1, np.nan]), "the value at 410 nm is not a finite number"),
+        (([300.0, 410.0], [0.1, 0.1]), "300 nm is outside the pigment tables"),
+        (([400.0, 400.0], [0.1, 0.1]), "must increase"),
+        (([400.0, 410.0], [0.1]), "need one for each"),
+        (([400.0, 410.0], [0.1, 0.1], [0.1, 0.0]), "standard deviation at 410 nm is 0"),
+        (([400.0, 500.0],), HALF),
+        ((ij.Measured(GRID, GRID, None, (), {}), 0.01), HALF),
     ],
 )
-def test_wrong_spectra_are_named(wavelengths, values, sd, message):
+def test_wrong_spectra_are_named(given, message):
     with pytest.raises(ValueError, match=message):
-        ij.spectrum(wavelengths, values, sd)
+        ij.spectrum(*given)
 
 
 def test_noise_that_cannot_be_is_named():
@@ -305,14 +310,6 @@ def test_spectra_of_colour_science_and_read_ones_stand_for_wavelengths_and_value
         np.testing.assert_allclose(seen.values, scans.mean(1))
         np.testing.assert_allclose(seen.sd, read.sd)
     assert ij.spectrum(cs.MultiSpectralDistributions(scans[:, [0, 0]], grid)).sd is None
-
-
-@pytest.mark.parametrize(
-    "given", [([400.0, 500.0],), (ij.Measured(GRID, GRID, None, (), {}), 0.01)]
-)
-def test_half_a_spectrum_is_refused(given):
-    with pytest.raises(ValueError, match="wavelengths and values, or one object"):
-        ij.spectrum(*given)
 
 
 @pytest.mark.peer

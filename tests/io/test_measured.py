@@ -707,22 +707,3 @@ def test_standard_deviations_and_repeated_scans(tmp_path):
     assert found.sd is not None
     assert np.sqrt((found.sd**2).mean()) == pytest.approx(0.001 / np.sqrt(5), rel=0.06)
     assert any("mean of 5 scans" in note for note in found.notes)
-
-
-def test_posterior_file_opens_in_arviz(tmp_path):
-    import arviz as az
-
-    path = tmp_path / "p.nc"
-    draws = np.random.default_rng(0).normal(size=(4, 50))
-    grid = {"wavelength_nm": np.linspace(400, 700, 7)}
-    groups = {
-        "posterior": {"load": (("chain", "draw"), draws)},
-        "observed_data": {"reflectance": (("wavelength_nm",), np.arange(7.0))},
-    }
-    io.write_posterior(path, groups, grid, {"note": "simulated"})
-    found = az.from_netcdf(path)
-    np.testing.assert_array_equal(found["posterior"]["load"], draws)
-    np.testing.assert_array_equal(found["observed_data"].wavelength_nm, grid["wavelength_nm"])
-    np.testing.assert_array_equal(found["posterior"].draw, np.arange(50))
-    assert found["posterior"].attrs["note"] == "simulated"
-    assert list(tmp_path.iterdir()) == [path]

@@ -13,22 +13,12 @@ def flat(value, rows=6, columns=10):
 
 
 def test_photograph_left_of_the_line_rendering_right_of_it():
-    both = wiped(flat(10), flat(200), 0.4)
-    assert (both[:, :3] == 10).all()
-    assert (both[:, 3] == 255).all()
-    assert (both[:, 4:] == 200).all()
-
-
-@pytest.mark.parametrize(("share", "value"), [(0.0, 200), (1.0, 10)])
-def test_the_ends_show_one_picture_alone(share, value):
-    np.testing.assert_array_equal(wiped(flat(10), flat(200), share), flat(value))
-
-
-def test_pictures_are_left_as_they_were():
+    """At the ends of the slider one alone; both are left as they were."""
     photograph, rendered = flat(10), flat(200)
-    wiped(photograph, rendered, 0.5)
-    assert (photograph == 10).all()
-    assert (rendered == 200).all()
+    assert (wiped(photograph, rendered, 0.4)[0, :, 0] == [10] * 3 + [255] + [200] * 6).all()
+    for share, value in ((0.0, 200), (1.0, 10)):
+        np.testing.assert_array_equal(wiped(photograph, rendered, share), flat(value))
+    assert (photograph == 10).all() and (rendered == 200).all()
 
 
 def test_refuses_what_cannot_be_compared():
