@@ -4,7 +4,6 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from refusals import one_line
 
 import irisjax as ij
 from irisjax.cli import measure
@@ -53,20 +52,3 @@ def test_instruments_are_the_librarys(irisjax, observed, printed, arguments, mak
     assert "photographs" in header["approximation"]
     assert columns["degree_of_linear_polarisation"].tolist() == [0.5, 0.5]
     np.testing.assert_allclose(columns["angle_deg"], np.degrees(0.5))
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (("--process", "ilit-2006", "--polarised"), "only with --process depth-resolved"),
-        (("--process", "ilit-2006", "--instrument", "co-polarised"), "needs --process depth"),
-        (("--scalar", "--process", "depth-resolved", "--instrument", "cross-polarised"), "needs"),
-        (("--polarised", "--solver", "monte-carlo"), "monte-carlo follows unpolarised light"),
-        (("--exit-deg", "30"), "means something only with --instrument cross-polarised"),
-        (("--instrument", "cross-polarised", "--exit-deg", "95"), "outside [0, 90]"),
-        (("--instrument", "cross-polarised", "--cornea", "inward"), "bare iris"),
-        (("--instrument", "cross-polarised", "--cos-incidence", "diffuse"), "one direction"),
-    ],
-)
-def test_refusals(irisjax, arguments, said):
-    one_line(irisjax("spectrum", *arguments, *GRID), said)

@@ -129,17 +129,6 @@ def test_how_far_scalar_theory_is_off_is_said(monkeypatch, light, scalar, said):
     assert told == f"{said} polarised transport of the same layers"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        ((), "needs --process depth-resolved"),
-        (("--polarised",), "cannot be combined with polarised light"),
-    ],
-)
-def test_where_a_power_law_is_not_known_is_said(irisjax, arguments, told):
-    one_line(irisjax("spectrum", *arguments, "--reduced-scattering", "1", *GRID), told)
-
-
 def test_standard_errors_of_few_photons_are_doubted(irisjax):
     few = ("spectrum", "--solver", "monte-carlo", "--photons", "100", "--level", "high", *GRID)
     status, _, err = irisjax(*few)
