@@ -25,7 +25,9 @@ def without_growth(monkeypatch):
         random = np.random.default_rng(np.asarray(jax.random.key_data(said["key"])))
         uneven = random.uniform(0.5, 1.5, (3, 96, 32))
         height, depth = 0.05 * said["eye"].pupil_radius, said["iris"].stroma_thickness
-        return IrisMaps(relief=height * uneven[0], stroma_depth=depth * uneven[1], eumelanin=uneven[2])
+        return IrisMaps(
+            relief=height * uneven[0], stroma_depth=depth * uneven[1], eumelanin=uneven[2]
+        )
 
     def veins(eye, *, key):
         return VeinMap(*jnp.full((3, 8, 4), eye.sclera.veins))

@@ -47,6 +47,20 @@ def searched(quick, monkeypatch):
     return sizes
 
 
+@pytest.fixture
+def copies(eye, tmp_path):
+    """A folder with copies of the spectrum."""
+
+    def of(*names):
+        folder = tmp_path / "eyes"
+        folder.mkdir()
+        for name in names:
+            (folder / f"{name}.csv").write_bytes(eye.read_bytes())
+        return folder
+
+    return of
+
+
 def rows_of(path):
     with path.open() as file:
         return {row["eye"]: row for row in csv.DictReader(file)}
@@ -64,11 +78,8 @@ def columns(path):
     return found.wavelengths, found.values
 
 
-def test_batch(irisjax, eye, searched, tmp_path):
-    eyes, out = tmp_path / "eyes", tmp_path / "out"
-    eyes.mkdir()
-    for i in range(3):
-        (eyes / f"e{i}.csv").write_bytes(eye.read_bytes())
+def test_batch(irisjax, eye, copies, searched, tmp_path):
+    eyes, out = copies("e0", "e1", "e2"), tmp_path / "out"
     (eyes / "broken.csv").write_text("nm,R\n400,oops\n")
     status, _, err = irisjax("fit", "--batch", eyes, "-o", out, *FREE)
     assert status == 3
@@ -118,11 +129,8 @@ def test_batch(irisjax, eye, searched, tmp_path):
 
 
 @pytest.mark.peer
-def test_a_batch_is_searched_by_the_library(irisjax, eye, quick, tmp_path):
-    eyes, out = tmp_path / "eyes", tmp_path / "out"
-    eyes.mkdir()
-    for name in ("a", "b"):
-        (eyes / f"{name}.csv").write_bytes(eye.read_bytes())
+def test_a_batch_is_searched_by_the_library(irisjax, eye, copies, quick, tmp_path):
+    eyes, out = copies("a", "b"), tmp_path / "out"
     assert irisjax("fit", "--batch", eyes, "-o", out, *FREE)[0] == 0
     rows = rows_of(out / "fits.csv")
     assert rows["a"] == rows["b"] | {"eye": "a"}
@@ -130,14 +138,11 @@ def test_a_batch_is_searched_by_the_library(irisjax, eye, quick, tmp_path):
     assert abs(found - truth_of(eye)["melanin_load"]) < 3 * sd
 
 
-def test_another_table_is_not_gone_on_with(irisjax, eye, searched, tmp_path):
+def test_another_table_is_not_gone_on_with(irisjax, copies, searched, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     (out / "fits.csv").write_text("eye,status,melanin_load\ne0,ok,0.1\n")
-    eyes = tmp_path / "eyes"
-    eyes.mkdir()
-    (eyes / "e0.csv").write_bytes(eye.read_bytes())
-    status, _, err = irisjax("fit", "--batch", eyes, "-o", out, *FREE, "--resume")
+    status, _, err = irisjax("fit", "--batch", copies("e0"), "-o", out, *FREE, "--resume")
     assert (status, searched) == (2, [])
     assert "is no table of --batch; --overwrite starts again" in err
 
@@ -159,7 +164,7 @@ def test_doubtful_eyes_are_marked_and_counted(irisjax, searched, tmp_path):
     assert float(rows["fair (%)"]["p_value"]) == 1
 
 
-def test_posteriors_of_a_batch(irisjax, eye, searched, monkeypatch, tmp_path):
+def test_posteriors_of_a_batch(irisjax, copies, searched, monkeypatch, tmp_path):
     sampled = []
 
     def one(problem, folder, sampler, bar, **how):
@@ -174,10 +179,7 @@ def test_posteriors_of_a_batch(irisjax, eye, searched, monkeypatch, tmp_path):
     monkeypatch.setattr(batch, "likelihood_draws", draws)
     monkeypatch.setattr(batch, "tails", lambda problem, z, names: None)
     monkeypatch.setattr(batch, "fit", lambda problem, *, key: Start(np.zeros(2), np.eye(2)))
-    eyes, out = tmp_path / "eyes", tmp_path / "out"
-    eyes.mkdir()
-    for name in ("a", "b"):
-        (eyes / f"{name}.csv").write_bytes(eye.read_bytes())
+    eyes, out = copies("a", "b"), tmp_path / "out"
     arguments = ("fit", "--batch", eyes, "-o", out, "--posteriors", "emcee", *FREE)
     assert irisjax(*arguments)[0] == 3
     how = {"resume": False, "quiet": True}

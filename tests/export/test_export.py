@@ -111,13 +111,11 @@ def test_folder_is_new_or_empty(tmp_path, monkeypatch):
     ("arguments", "message"),
     [
         ((), "give a SCENE file or --preset"),
-        (("--preset", "pink"), "--preset: unknown 'pink'"),
         (("--preset", "blue", "--spacing", "0"), "--spacing: 0 is outside [0.02, 2] mm"),
         (("--preset", "blue", "--format", "fbx"), "--format: unknown 'fbx'; known: obj, glb"),
         (("--preset", "blue", "-o", "full"), "full: not empty; give a new folder"),
         (("--preset", "blue", "-o", "no/eye"), "no: no such folder"),
         (("bare.toml", "--pupil-radius", "6"), "--pupil-radius: 6 is outside [0.25, 4.75] mm"),
-        (("missing.toml",), "missing.toml: No such file"),
     ],
 )
 def test_wrong_options_are_one_line(capsys, monkeypatch, tmp_path, arguments, message):

@@ -1,5 +1,8 @@
 """Groups of eyes: calibration on normal likelihoods, limits that are known, published examples."""
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import jax
 import numpy as np
 import pytest
@@ -77,6 +80,16 @@ def test_draws_of_normal_posteriors_say_what_the_fits_say_and_others_more():
     assert drawn.mean.std() > 1.5 * fits.mean.std()
 
 
+class Eye(NamedTuple):
+    """An eye whose data depend on its last parameter; the priors are standard normal."""
+
+    names: tuple[str, ...]
+    log_likelihood: Callable
+
+    def log_density(self, z):
+        return self.log_likelihood(z[:, -1]) - 0.5 * (z**2).sum(axis=1)
+
+
 def test_draws_reach_beyond_the_prior_of_the_fits():
     """Normal likelihoods, known to 0.5, about 2.5: under a prior of sd 3 their posterior has the
     precision 4 + 1/9, and the group's mean is found as from the fits.
@@ -84,20 +97,11 @@ def test_draws_reach_beyond_the_prior_of_the_fits():
     random = np.random.default_rng(5)
     data = 2.5 + np.hypot(0.5, 0.3) * random.standard_normal(12)
     covariance, drawn = np.full((12, 1, 1), 1 / 5), []
-
-    class Eye:
-        names = ("other", "load")
-
-        def __init__(self, value):
-            self.value = value
-
-        def log_density(self, z):
-            return -2 * (z[:, 1] - self.value) ** 2 - 0.5 * (z**2).sum(axis=1)
-
     for i, value in enumerate(data):
+        seen = Eye(("other", "load"), lambda z, value=value: -2 * (z - value) ** 2)
         start = Start(np.array([0, 0.8 * value]), np.diag([1.0, 0.2]))
         key = jax.random.fold_in(KEY, i)
-        drawn.append(likelihood_draws(Eye(value), [start], ["load"], key=key))
+        drawn.append(likelihood_draws(seen, [start], ["load"], key=key))
     drawn = np.array(drawn)
     assert drawn.shape == (12, KERNELS, 1)
     np.testing.assert_allclose(drawn.mean(1)[:, 0], data * 36 / 37, atol=0.1)
@@ -115,23 +119,13 @@ def test_likelihoods_without_an_end_have_their_tails():
     random, s = np.random.default_rng(8), 0.4
     measured = -1.5 + np.hypot(1.5, s) * random.standard_normal(6)
     limits = np.array([-2.5, -2, -1.5, -1, 0, 0.5])
-
-    class Eye:
-        names = ("load",)
-
-        def __init__(self, log_likelihood):
-            self.log_likelihood = log_likelihood
-
-        def log_density(self, z):
-            return self.log_likelihood(z[:, 0]) - 0.5 * (z**2).sum(axis=1)
-
     eyes = [(lambda z, v=v: norm.logpdf(v, z, s), v) for v in measured]
     eyes += [(lambda z, a=a: norm.logcdf((a - z) / s), a - 0.5) for a in limits]
     drawn = []
     for i, (log_likelihood, at) in enumerate(eyes):
         starts = [Start(np.array([x]), np.array([[v]])) for x, v in ((at, 0.2), (-4.5, 9.0))]
         key = jax.random.fold_in(KEY, i)
-        drawn.append(likelihood_draws(Eye(log_likelihood), starts, ["load"], key=key))
+        drawn.append(likelihood_draws(Eye(("load",), log_likelihood), starts, ["load"], key=key))
     z = np.array([[at] for _, at in eyes])
     found = population(z, np.full((12, 1, 1), 0.2), np.array(drawn), WIDTH, key=KEY)
     mean, spread = np.meshgrid(np.linspace(-5, 3, 161), np.linspace(0.02, 4, 200), indexing="ij")

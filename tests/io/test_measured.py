@@ -495,15 +495,15 @@ def test_binary_formats_are_named(tmp_path, name, data, message):
 @pytest.mark.parametrize(
     "text",
     [
-        "nm,left,right\n" + rows(",", GRID, R, 1.1 * R),
-        "nm,Sample 1,Sample 2\n" + rows(",", GRID, R, 0.7 * R),
-        "nm,R SCI,R SCE\n" + rows(",", GRID, R, R),
+        table("nm,left,right", R, 1.1 * R),
+        table("nm,Sample 1,Sample 2", R, 0.7 * R),
+        table("nm,R SCI,R SCE", R, R),
         rows(" ", GRID, R, SD),
         cary(("Sample 1", R), ("Sample 2", 2 * R)),
-        "nm,R raw,R smoothed\n" + rows(",", GRID, R, R),
-        "nm,R 0°,R 15°\n" + rows(",", GRID, R, 1.1 * R),
-        "nm,scan 1,scan 2\n" + rows(",", GRID, R, 3 * R),
-        "nm,P01,P01_sd,P02,P02_sd\n" + rows(",", GRID, R, SD, 1.1 * R, SD),
+        table("nm,R raw,R smoothed", R, R),
+        table("nm,R 0°,R 15°", R, 1.1 * R),
+        table("nm,scan 1,scan 2", R, 3 * R),
+        table("nm,P01,P01_sd,P02,P02_sd", R, SD, 1.1 * R, SD),
         "Name,Specular,"
         + ",".join(f"{x:.0f}nm" for x in GRID)
         + "\n"
@@ -519,7 +519,7 @@ def test_columns_of_several_things_are_no_scans(tmp_path, text):
 def test_columns_that_noise_alone_tells_apart_are_scans(tmp_path):
     rng = np.random.default_rng(0)
     scans = R[:, None] * (1 + 0.02 * rng.normal(size=(R.size, 2)))
-    found = io.read_measured(written(tmp_path, "nm,left,right\n" + rows(",", GRID, *scans.T)))
+    found = io.read_measured(written(tmp_path, table("nm,left,right", *scans.T)))
     np.testing.assert_allclose(found.values, scans.mean(1), rtol=1e-4)
 
 
@@ -527,20 +527,20 @@ def test_a_wild_pixel_decides_no_unit_and_is_doubted(tmp_path):
     for at in (0, 15):
         values = R.copy()
         values[at] = 2.6
-        found = io.read_measured(written(tmp_path, "nm,R\n" + rows(",", GRID, values)))
+        found = io.read_measured(written(tmp_path, table("nm,R", values)))
         np.testing.assert_allclose(np.delete(found.values, at), np.delete(R, at), rtol=1e-4)
         (doubt,) = found.doubts
         assert doubt.startswith(f"at {GRID[at]:.0f} nm far from the neighbouring values")
-    assert not io.read_measured(written(tmp_path, "nm,R\n" + rows(",", GRID, R))).doubts
+    assert not io.read_measured(written(tmp_path, table("nm,R", R))).doubts
 
 
 def test_eyes_with_their_standard_deviations(tmp_path):
-    text = "nm,left,left_sd,right,SD right\n" + rows(",", GRID, R, SD, 0.8 * R, 2 * SD)
+    text = table("nm,left,left_sd,right,SD right", R, SD, 0.8 * R, 2 * SD)
     found = io.read_eyes(written(tmp_path, text))
     assert list(found) == ["left", "right"]
     np.testing.assert_allclose(found["left"].sd, SD, rtol=1e-4)
     np.testing.assert_allclose(found["right"].sd, 2 * SD, rtol=1e-4)
-    text = "nm,left mean,left SEM\n" + rows(",", GRID, R, SD)
+    text = table("nm,left mean,left SEM", R, SD)
     (eye,) = io.read_eyes(written(tmp_path, text)).values()
     np.testing.assert_allclose(eye.sd, SD, rtol=1e-4)
     names = ",".join(f"{x:.0f}nm" for x in GRID)
