@@ -285,11 +285,17 @@ ROLES = {
         blocks(("a", "REFLECTANCE", R)).replace("##XYPOINTS=", "## XY_DATA = ")
     ),
     "SVC": role(
-        table("/*** Spectra Vista SIG Data ***/\nunits= Radiance, Radiance\ndata=", 34 + R, 34 * R, 100 * R, sep="  "),
+        table(
+            "/*** Spectra Vista SIG Data ***/\nunits= Radiance, Radiance\ndata=",
+            34 + R, 34 * R, 100 * R, sep="  "
+        ),
         "'radiance' left out"
     ),
     "Spectral Evolution": role(
-        table("Version: 2.2\nUnits: W/m^2\nColumns [4]:\nData:\nWvl\tRad. (Ref.)\tRad. (Target)\tReflect. %", 1 + R, R, 100 * R, sep="\t")
+        table(
+            "Version: 2.2\nUnits: W/m^2\nColumns [4]:\nData:\nWvl\tRad. (Ref.)\tRad. (Target)\tReflect. %",
+            1 + R, R, 100 * R, sep="\t"
+        )
     ),
     "Cary": role(cary(("Sample 1", R), below="\nSample 1\nY Mode   %R\n"), "2 lines below"),
     "Cary, one of a pair": role(
@@ -340,13 +346,19 @@ ROLES = {
     "relative": role(table("nm,R,rel. sd (%)", R, 3 + 0 * R), has_sd=True),
     "k = 2": role(table("nm,R,u (k=2)", R, 2 * SD), has_sd=True),
     "Portuguese": role(
-        table("Comprimento de onda (nm);Refletância (%);Desvio padrão", 100 * R, 100 * SD, decimal=",", sep=";"),
+        table(
+            "Comprimento de onda (nm);Refletância (%);Desvio padrão",
+            100 * R, 100 * SD, decimal=",", sep=";"
+        ),
         has_sd=True
     ),
     "quartiles": role(table("nm,median,Q1,Q3,95% CI", R, 0.9 * R, 1.1 * R, R), "'Q1', 'Q3'"),
     "minus a logarithm": role(table("nm,-log10(R)", -np.log10(R)), "absorbance"),
     "absorbance units": role(
-        table("Wavelength [nm],Sample,Dark,Reference,Absorbance [A.U.]", 900 + R, 900 + 0 * R, 3e4 + R, -np.log10(R)),
+        table(
+            "Wavelength [nm],Sample,Dark,Reference,Absorbance [A.U.]",
+            900 + R, 900 + 0 * R, 3e4 + R, -np.log10(R)
+        ),
         "absorbance"
     ),
     "a ratio": role(table("nm,eye,white,eye/white", 0.5 * R, 0.5 + 0 * R, R), "'eye/white' used"),
@@ -354,14 +366,20 @@ ROLES = {
         table("Wavelength;Wavenumber;Dark;%R", 1e7 / GRID, 900 + R, 100 * R, sep=";")
     ),
     "decimal commas in quotes": role(
-        '"nm","R%"\n' + "\n".join(f'"{x}","{100 * y:.6g}"'.replace(".", ",") for x, y in zip(GRID, R, strict=True))
+        '"nm","R%"\n' + "\n".join(
+            f'"{x}","{100 * y:.6g}"'.replace(".", ",")
+            for x, y in zip(GRID, R, strict=True)
+        )
     ),
     "scans of a numbered eye": role(
         table("nm,eye1 0001,eye1 0002", 1.1 * R, 0.9 * R), "mean of 2 scans", has_sd=True
     ),
     "a unit in each cell": role(
         "Name;Wellenlänge;Remission\n"
-        + "\n".join(f"eye;{x:.0f} nm;{100 * y:.6g} %".replace(".", ",") for x, y in zip(GRID, R, strict=True))
+        + "\n".join(
+            f"eye;{x:.0f} nm;{100 * y:.6g} %".replace(".", ",")
+            for x, y in zip(GRID, R, strict=True)
+        )
     ),
     "R's names of rows": role(
         '"wavelength" "value"\n'
@@ -387,7 +405,10 @@ ROLES = {
         "mean of 2 scans", has_sd=True
     ),
     "exponents of Fortran": role(
-        "nm R\n" + "\n".join(f"{x / 1000:.4f}D+03 {y:.6E}".replace("E", "D") for x, y in zip(GRID, R, strict=True))
+        "nm R\n" + "\n".join(
+            f"{x / 1000:.4f}D+03 {y:.6E}".replace("E", "D")
+            for x, y in zip(GRID, R, strict=True)
+        )
     ),
     "a row with a unit in each cell": role(
         "Data Name,Time," + ",".join(f"SCE {x:.0f}[nm]" for x in GRID) + "\neye,10:11,"
