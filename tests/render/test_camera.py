@@ -71,6 +71,9 @@ def test_a_far_camera_is_an_orthographic_one(seen):
     np.testing.assert_allclose(mirror.mirror[0][near], 2 * x[near] / radius, atol=0.03)
 
 
+meet = jax.jit(lambda *ray: Conicoid(7.8, 0.75).intersect(*ray))
+
+
 @pytest.mark.parametrize("polar", [0.0, 0.7, 1.5])
 def test_rays_from_far_meet_a_conicoid(polar, bits):
     """The surface itself does not lose a ray that begins 10 m away."""
@@ -78,7 +81,6 @@ def test_rays_from_far_meet_a_conicoid(polar, bits):
     back = jnp.asarray([np.sin(polar), 0.0, -np.cos(polar)], x.dtype)
     side = jnp.asarray([np.cos(polar), 0.0, np.sin(polar)], x.dtype)
     start = x[:, None] * side + jnp.asarray([0.0, 0.0, 2.0], x.dtype)
-    meet = jax.jit(lambda *ray: Conicoid(7.8, 0.75).intersect(*ray))
     (near, met), (far, also) = (
         meet(start + d * back, jnp.broadcast_to(-back, start.shape)) for d in (30.0, 1e4)
     )

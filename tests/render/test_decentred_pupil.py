@@ -1,15 +1,13 @@
-"""A pupil beside the axis: where its maps lie, what is seen of it, and its hand-over."""
+"""A pupil beside the axis: where its maps lie, and scene files; grow/test_pupil.py has the rest."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from irisjax.anatomy.eye import Eye
-from irisjax.export.mesh import eye_meshes
 from irisjax.io.scenes import parse_scene
-from irisjax.render.camera import Camera
-from irisjax.render.project import IrisPixels, project_visible
-from irisjax.render.shading import camera_share, facing_at, relief_field
+from irisjax.render.project import IrisPixels
+from irisjax.render.shading import facing_at, relief_field
 
 CENTRE = np.array([-0.35, 0.2])
 EYE = Eye(cornea=None, sclera=None, pupil_radius=1.5, pupil_centre=CENTRE)
@@ -34,16 +32,6 @@ def test_rings_lie_between_pupil_and_root():
     np.testing.assert_allclose(onto, np.asarray(bare.ring_of(*point)[0]), atol=2e-6)
 
 
-def test_pupil_is_seen_where_it_is():
-    view = project_visible(EYE, Camera(width=12.0, size=(96, 96)))
-    x, y = (np.asarray(v) for v in view.iris.point[:2])
-    share = np.asarray(camera_share(view.iris, EYE)) / np.asarray(view.iris.share)
-    away = np.hypot(x - CENTRE[0], y - CENTRE[1])
-    known = (np.asarray(view.iris.share) > 0) & (np.asarray(view.iris.index) >= 0)
-    assert (share[known & (away < 1.5)] == 0).all()
-    assert (share[known & (away > 1.5 + float(EYE.pupil_margin))] == 1).all()
-
-
 def test_relief_tilts_by_the_slope_of_its_surface():
     """Of a height that is a plain function of x and y: its normals are known."""
     angles, radii = 256, 64
@@ -64,13 +52,6 @@ def test_relief_tilts_by_the_slope_of_its_surface():
     expected = np.stack([-0.8 * steep, -0.5 * steep, -np.ones(40)], -1)
     expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
     np.testing.assert_allclose(found, expected, atol=2e-4)
-
-
-def test_mesh_has_the_pupil_where_it_is():
-    mesh = eye_meshes(EYE, 0.5)["iris"]
-    x, y, _ = np.asarray(mesh.vertices).T
-    u, v = (mesh.vertex_attributes[axis] for axis in "uv")
-    np.testing.assert_allclose(np.stack([x, y]), on_ring(2 * np.pi * u, v), atol=1e-6)
 
 
 def test_scene_files_place_it_and_refuse_what_is_no_eye():

@@ -32,15 +32,8 @@ def power_of(lights):
     return np.asarray(lights.irradiance[:, None] * lights.tint, np.float64)
 
 
-def power(lights):
-    return power_of(lights).sum(0)
-
-
-def direction(polar, azimuth):
-    sin = np.sin(polar)
-    return np.stack(
-        [sin * np.cos(azimuth), sin * np.sin(azimuth), -np.cos(polar) + 0 * sin], axis=-1
-    )
+def on_a_facing_surface(lights):
+    return (power_of(lights) * np.maximum(-lights.towards[:, 2:], 0)).sum(0)
 
 
 def spot(towards, rows=32, columns=64):
@@ -52,13 +45,13 @@ def spot(towards, rows=32, columns=64):
     return Environment(radiance), (i, j)
 
 
-@pytest.mark.parametrize("n", [1, 2, 7, 64, 300])
-@pytest.mark.parametrize("shape", [(8, 16), (15, 33), (1, 5), (40, 80)])
+@pytest.mark.parametrize("n", [1, 7, 300])
+@pytest.mark.parametrize("shape", [(15, 33), (1, 5)])
 def test_power_is_conserved(n, shape):
     environment = noisy(*shape)
     lights = environment.to_lights(n, largest_polar=None)
     assert len(lights) == min(n, np.prod(shape))
-    np.testing.assert_allclose(power(lights), total(environment), rtol=1e-12)
+    np.testing.assert_allclose(power_of(lights).sum(0), total(environment), rtol=1e-12)
     np.testing.assert_allclose(lights.tint @ np.asarray(LUMINANCE), 1, rtol=1e-12)
     np.testing.assert_allclose(jnp.linalg.norm(lights.towards, axis=-1), 1, rtol=1e-12)
     assert lights.illuminant == "D65" and lights.distance is None
@@ -70,12 +63,10 @@ def test_single_precision(float32):
     for leaf in jax.tree.leaves((lights, lookup(environment, lights.towards))):
         assert leaf.dtype == jnp.float32
     whole = environment.to_lights(50, largest_polar=None)
-    np.testing.assert_allclose(power(whole), total(environment), rtol=3e-6)
+    np.testing.assert_allclose(power_of(whole).sum(0), total(environment), rtol=3e-6)
 
 
-@pytest.mark.parametrize(
-    "towards", [(0.1, 0.2, -1), (-1, 0.1, -0.2), (0.7, -0.7, -0.3), (0.02, 1, 0.03)]
-)
+@pytest.mark.parametrize("towards", [(-1, 0.1, -0.2), (0.02, 1, 0.03)])
 def test_one_bright_texel_gives_one_light_there(towards):
     towards = np.asarray(towards) / np.linalg.norm(towards)
     environment, (i, _) = spot(towards)
@@ -108,8 +99,7 @@ def test_even_hemisphere_lights_a_facing_surface_with_pi():
     for n in (16, 64, 256, 1024):
         lights = environment.to_lights(n)
         assert len(lights) == n
-        facing = (lights.irradiance * -lights.towards[:, 2]).sum()
-        errors.append(abs(facing / (2 * np.pi) - 1))
+        errors.append(abs(on_a_facing_surface(lights)[0] / (2 * np.pi) - 1))
     assert errors[0] < 0.08 and errors[3] < 2e-3
     assert all(b < 0.5 * a for a, b in itertools.pairwise(errors))
     np.testing.assert_allclose(errors[1], 0.0, atol=0.02)
@@ -153,23 +143,16 @@ def test_lookup_has_no_seam(columns):
     tiny, y = 1e-9, np.linspace(-3, 3, 31)
     behind = np.stack([0 * y, y, 1 + 0 * y], axis=-1)
     aside = np.array([tiny, 0, 0])
-    np.testing.assert_allclose(
-        lookup(environment, behind + aside), lookup(environment, behind - aside), rtol=1e-6
-    )
+    sides = (lookup(environment, behind + a) for a in (aside, -aside))
+    np.testing.assert_allclose(*sides, rtol=1e-6)
     turn = np.linspace(0, 2 * np.pi, 17)
     for side in (1, -1):
         pole = np.array([0.0, side, 0.0])
         round_it = np.stack([tiny * np.cos(turn), side + 0 * turn, tiny * np.sin(turn)], axis=-1)
-        np.testing.assert_allclose(
-            lookup(environment, round_it),
-            np.broadcast_to(lookup(environment, pole), (17, 3)),
-            rtol=1e-6,
-        )
-        np.testing.assert_allclose(
-            lookup(environment, pole),
-            environment.radiance[0 if side > 0 else -1].mean(0),
-            rtol=1e-12,
-        )
+        there, at_pole = (lookup(environment, d) for d in (round_it, pole))
+        np.testing.assert_allclose(there, np.broadcast_to(at_pole, (17, 3)), rtol=1e-6)
+        row = environment.radiance[0 if side > 0 else -1]
+        np.testing.assert_allclose(at_pole, row.mean(0), rtol=1e-12)
 
 
 def test_gradients_are_finite_and_true():
@@ -187,40 +170,31 @@ def test_gradients_are_finite_and_true():
     for leaf in jax.tree.leaves(gradient):
         assert jnp.isfinite(leaf).all()
     step = 1e-6 * np.random.default_rng(0).normal(size=ordinary.shape)
-    low, high = (
-        brightness((environment.radiance, np.concatenate([special, ordinary + sign * step])))[0]
-        for sign in (-1, 1)
-    )
-    np.testing.assert_allclose(
-        (gradient[1][len(special) :] * step).sum(), (high - low) / 2, rtol=1e-5
-    )
+    ends = (np.concatenate([special, ordinary + sign * step]) for sign in (-1, 1))
+    low, high = (brightness((environment.radiance, d))[0] for d in ends)
+    slope = (gradient[1][len(special) :] * step).sum()
+    np.testing.assert_allclose(slope, (high - low) / 2, rtol=1e-5)
 
 
 def test_studio_and_sky():
     studio = Environment.studio(32)
     lights = studio.to_lights(32)
     key = lights.towards[jnp.argmax(lights.irradiance / lights.radius**2)]
-    facing = (power_of(lights) * np.maximum(-lights.towards[:, 2:], 0)).sum(0)
-    np.testing.assert_allclose(facing, np.pi, rtol=0.05)
+    np.testing.assert_allclose(on_a_facing_surface(lights), np.pi, rtol=0.05)
     assert key[0] < 0 and key[1] > 0 and key[2] < 0
     for polar, azimuth in [(0.9, 2.0), (1.5, 0.3)]:
-        bare, sunny = (
-            Environment.sky(polar, azimuth, sun=0.0, rows=48),
-            Environment.sky(polar, azimuth, rows=48),
-        )
+        bare, sunny = (Environment.sky(polar, azimuth, rows=48, **s) for s in ({"sun": 0.0}, {}))
         rise = total(sunny) - total(bare)
         np.testing.assert_allclose(rise @ np.asarray(LUMINANCE), 4.0, rtol=1e-9)
-        only = Environment(sunny.radiance - bare.radiance)
-        np.testing.assert_allclose(
-            only.to_lights(1).towards[0], direction(polar, azimuth), atol=0.01
-        )
+        towards = Environment(sunny.radiance - bare.radiance).to_lights(1).towards[0]
+        sin = np.sin(polar)
+        expected = sin * np.cos(azimuth), sin * np.sin(azimuth), -np.cos(polar)
+        np.testing.assert_allclose(towards, expected, atol=0.01)
 
 
 def test_window():
     window = Environment.window()
-    lights = window.to_lights(32)
-    facing = (power_of(lights) * np.maximum(-lights.towards[:, 2:], 0)).sum(0)
-    np.testing.assert_allclose(facing, np.pi, rtol=0.1)
+    np.testing.assert_allclose(on_a_facing_surface(window.to_lights(32)), np.pi, rtol=0.1)
     # Four panes, with the sky in the upper two and trees in the lower ones.
     right, up = np.meshgrid([-0.1, 0, 0.1], [0.13, 0.05, -0.17], indexing="ij")
     middle = np.array([-0.5, 0.62, -1.0]) / np.linalg.norm([-0.5, 0.62, -1.0])

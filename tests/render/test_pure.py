@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import quick_jit
+from common import quick_jit, stack
 from irisjax.render.picture import draw
 from irisjax.tissue.maps import IrisMaps
 from render.small_scenes import CLOSE, QUICK, ring, scene
@@ -20,14 +20,6 @@ SCENE = ij.Scene(
 )
 
 
-def test_a_batch_of_irides():
-    irides = [ij.Iris.of_level(level) for level in ("low", "high")]
-    batch = jax.tree.map(lambda *x: jnp.stack(x), *irides)
-    pictures = quick_jit(jax.vmap(lambda iris: draw(SCENE.replace(iris=iris))))(batch)
-    for iris, picture in zip(irides, pictures, strict=True):
-        np.testing.assert_allclose(picture, draw(SCENE.replace(iris=iris)), atol=1e-12)
-
-
 def changed(scene, p):
     """Pigment, a map, a lamp's angle and irradiance, the camera's angle and field."""
     return scene.replace(
@@ -39,19 +31,25 @@ def changed(scene, p):
 
 
 def slopes(scene, tables=None):
-    """Derivatives, and finite differences."""
+    """Derivatives and finite differences of a weighted mean; these from a batch of irides whose
+    last one is another.
+    """
 
-    def mean(p):
-        picture = draw(changed(scene, p), tables)
+    def mean(iris, p):
+        picture = draw(changed(scene.replace(iris=iris), p), tables)
         weight = 1 + jnp.cos(jnp.arange(picture.size)).reshape(picture.shape)
         return (picture * weight).sum()
 
-    value, step = quick_jit(jax.value_and_grad(mean)), 1e-6
-    found = value(jnp.zeros(6))[1]
-    return found, [float(value(step * e)[0] - value(-step * e)[0]) / (2 * step) for e in np.eye(6)]
+    single, step = quick_jit(jax.value_and_grad(mean, argnums=1)), 1e-6
+    points = jnp.concatenate([step * jnp.eye(6), -step * jnp.eye(6), jnp.zeros((2, 6))])
+    irides = [scene.iris] * 13 + [ij.Iris.of_level("high")]
+    batch = np.asarray(quick_jit(jax.vmap(mean))(stack(irides), points))
+    (value, found), (other, _) = (single(iris, jnp.zeros(6)) for iris in irides[-2:])
+    np.testing.assert_allclose(batch[-2:], [value, other], rtol=1e-12)
+    return found, (batch[:6] - batch[6:12]) / (2 * step)
 
 
-def test_derivatives_are_finite_differences():
+def test_derivatives_are_finite_differences_and_a_batch_is_its_irides():
     found, true = slopes(SCENE)
     assert (np.abs(found) > 1e-6).all()
     np.testing.assert_allclose(found, true, rtol=1e-4)

@@ -204,7 +204,7 @@ def test_no_pigment_at_all():
 
 def test_lights_add_up():
     """One of them coloured: its picture is a plain one's, channel by channel."""
-    one, plain = Lights.distant(0.6, 2.0, 1.5), Lights.points([20.0, -10.0, -60.0], 2.5)
+    one, plain = Lights.distant(0.6, 2.0, 1.5), Lights.distant(0.4, -0.5, 2.5)
     two = dataclasses.replace(plain, tint=jnp.array([[1.0, 0.0, 2.0]]))
     both, first, second, white = (
         np.asarray(draw(scene(BARE, lights=which))) for which in (one + two, one, two, plain)
