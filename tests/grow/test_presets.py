@@ -14,6 +14,7 @@ from irisjax.measure.colour import XYZ_TO_SRGB, lab_of
 from irisjax.render.integrators import INTEGRATORS
 from irisjax.render.picture import draw
 
+SHAPE = (96, 32)
 RESULTS = Path(__file__).parents[2] / "experiments" / "results"
 WHITE = 0.6  # reflectance of the white of the eye
 
@@ -24,14 +25,14 @@ def test_presets_are_what_the_experiment_found():
     assert len(rows) == 2 * len(PRESETS)
     for row in rows:
         process = INTEGRATORS[row["integrator"]]().process
-        iris, _ = PRESETS[row["colour"]](process=process, shape=(16, 8), key=jax.random.key(0))
+        iris, _ = PRESETS[row["colour"]](process=process, shape=SHAPE, key=jax.random.key(0))
         iris = {**vars(iris), "hemoglobin": iris.oxyhemoglobin + iris.deoxyhemoglobin}
         for name in list(row)[2:-1]:
             np.testing.assert_allclose(iris[name], float(row[name]), rtol=1e-6, err_msg=str(row))
 
 
 def test_presets_of_one_key_have_patterns_of_their_own():
-    maps = [PRESETS[n](shape=(96, 32), key=jax.random.key(0))[1] for n in ("blue", "grey")]
+    maps = [PRESETS[n](shape=SHAPE, key=jax.random.key(0))[1] for n in ("blue", "grey")]
     one, other = (np.log(m.stroma_depth) - np.log(m.stroma_depth).mean(0) for m in maps)
     assert abs(np.corrcoef(one.ravel(), other.ravel())[0, 1]) < 0.2
 

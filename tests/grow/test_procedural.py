@@ -11,17 +11,8 @@ from irisjax.tissue.maps import IrisMaps
 
 SHAPE = (128, 48)
 KEY = jax.random.key(7)
-NOTHING = {
-    "profile": False,
-    "fibres": 0.0,
-    "clouds": 0.0,
-    "collarette": 0.0,
-    "crypts": 0,
-    "furrows": 0,
-    "ruff": 0.0,
-}
-
-
+NOTHING = {"profile": False, "fibres": 0.0, "clouds": 0.0, "collarette": 0.0, "ruff": 0.0}
+NOTHING |= {"crypts": 0, "furrows": 0}
 EXTRA = {"freckles": 5, "abl": 1.0, "heterochromia": 2.0, "amber": 1.0, "patches": 0.5}
 
 
@@ -60,7 +51,7 @@ def test_thick_and_thin_tissue_keeps_its_fibres(everything, name):
 
 @pytest.mark.parametrize("feature", ["fibres", "clouds", "abl", "patches", "amber"])
 def test_features_of_any_strength_stay_in_their_ranges(feature):
-    maps = procedural(ij.Iris(), shape=(64, 24), **EXTRA | {feature: 300.0}, key=KEY)
+    maps = procedural(ij.Iris(), shape=SHAPE, **EXTRA | {feature: 300.0}, key=KEY)
     limits = {"stroma_depth": STROMA, "abl_depth": ABL, "eumelanin": MELANIN}
     for name, (low, high) in (limits | {"pheomelanin": MELANIN}).items():
         mean = getattr(ij.Iris(), name.replace("depth", "thickness")) if "depth" in name else 1.0
@@ -124,16 +115,11 @@ def test_strands_run_radially(everything):
 
 
 def test_crypts_open_near_the_collarette_and_loose_fibres_cross():
-    grown = {
-        (crypts, looseness): np.asarray(
-            procedural(
-                ij.Iris(), shape=SHAPE, crypts=crypts, looseness=looseness, key=KEY
-            ).stroma_depth
-        )
-        for crypts, looseness in ((0, 0.0), (50, 0.0), (0, 2.0))
-    }
-    closed, open_, loose = grown.values()
-    thinned = (open_ < 0.5 * closed).mean(0)
+    closed, open_, loose = (
+        procedural(ij.Iris(), shape=SHAPE, crypts=n, looseness=x, key=KEY).stroma_depth
+        for n, x in ((0, 0.0), (50, 0.0), (0, 2.0))
+    )
+    thinned = np.asarray(open_ < 0.5 * closed).mean(0)
     assert thinned[10:30].mean() > 0.05 > 2 * thinned[40:].mean()
     along = [np.diff(np.log(m), axis=1)[:, 24:].std() for m in (closed, loose)]
     assert along[1] > 1.2 * along[0]

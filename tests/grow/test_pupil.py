@@ -69,13 +69,13 @@ def test_maps_begin_at_the_edge():
     assert BARE.pupil_edge(1.0, 2.0) is BARE.pupil_radius  # a round one costs nothing
 
 
-def test_mesh_has_the_edge():
+def test_mesh_has_the_edge_and_rings_between_it_and_the_root():
     mesh = eye_meshes(EYE, 0.5)["iris"]
     x, y, _ = np.asarray(mesh.vertices).T
-    turn, ring = (mesh.vertex_attributes[axis] for axis in "uv")
-    for v, radius, centre in ((0, edge(2 * np.pi * turn), CENTRE), (1, 5.5, np.zeros(2))):
-        away = np.hypot(x - centre[0], y - centre[1])
-        np.testing.assert_allclose((away - radius)[ring == v], 0, atol=1e-6)
+    angle, share = 2 * np.pi * mesh.vertex_attributes["u"], mesh.vertex_attributes["v"]
+    radius = (1 - share) * edge(angle) + share * 5.5
+    expected = (1 - share) * CENTRE[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)])
+    np.testing.assert_allclose(np.stack([x, y]), expected, atol=1e-6)
 
 
 def test_scene_files_grow_or_state_it():
