@@ -17,10 +17,6 @@ TONES = {
 }  # fmt: skip
 
 
-def mixer():
-    return HslMixer.of(TONES)
-
-
 def encoded(linear):
     return np.asarray(srgb_encode(linear))
 
@@ -31,12 +27,6 @@ def test_hsl_is_that_of_colorsys():
     found = srgb_of(*(jnp.asarray(column) for column in GRID.T))
     expected = [colorsys.hls_to_rgb(hue, light, saturation) for hue, saturation, light in GRID]
     np.testing.assert_allclose(found, expected, atol=1e-14)
-
-
-def test_hues_repeat_by_turns():
-    turns = jnp.asarray([-1.7, 0.3, 2.3])
-    found = srgb_of(turns, jnp.full(3, 0.8), jnp.full(3, 0.4))
-    np.testing.assert_allclose(found, jnp.stack([found[1]] * 3), atol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -53,7 +43,8 @@ def test_hues_repeat_by_turns():
     ],
 )
 def test_mixtures_by_hand(first, second, share, hand):
-    np.testing.assert_allclose(encoded(mixer().mix(first, second, share)), hand, atol=1e-12)
+    found = HslMixer.of(TONES).mix(first, second, share)
+    np.testing.assert_allclose(encoded(found), hand, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -66,7 +57,7 @@ def test_mixtures_by_hand(first, second, share, hand):
 )
 def test_between_opposite_hues_red_is_not_passed(first, second, middle, bits):
     """Whichever is first, and in either precision."""
-    m = mixer()
+    m = HslMixer.of(TONES)
     for a, b in ((first, second), (second, first)):
         np.testing.assert_allclose(encoded(m.mix(a, b, 0.5)), middle, atol=1e-5)
 
@@ -83,14 +74,8 @@ def test_the_ends_are_the_paints(bits):
         found = m.mix(first, second, share)
         np.testing.assert_allclose(found, m.colours[m.indices(paints)], atol=1e-5)
         assert found.dtype == m.colours.dtype
-
-
-@pytest.mark.parametrize("share", [0.2, 0.5, 0.7])
-def test_a_mixture_and_its_mirror_image(share):
-    m = HslMixer.default()
-    first, second = pairs(m.paints)
-    there, back = m.mix(first, second, share), m.mix(second, first, 1 - share)
-    np.testing.assert_allclose(there, back, atol=1e-12)
+    there, back = m.mix(first, second, 0.2), m.mix(second, first, 0.8)
+    np.testing.assert_allclose(there, back, atol=1e-5 if bits == 32 else 1e-12)
 
 
 def test_many_coats_at_once():
@@ -140,10 +125,6 @@ def test_refusals():
         m.mix(["burnt umber", "burnt umber"], "ultramarine", jnp.zeros(3))
 
 
-def colour(mixer, paint):
-    return mixer.colours[mixer.indices(paint)]
-
-
 def test_fewer_than_ten_paints_with_their_sources():
     """[L03 Section 3.2]"""
     assert len(PAINTS) == 9
@@ -151,12 +132,6 @@ def test_fewer_than_ten_paints_with_their_sources():
     assert m.paints == tuple(PAINTS)
     steps = np.rint(255 * encoded(m.colours)).astype(int)
     assert ["#" + bytes(s.tolist()).hex() for s in steps] == [*PAINTS.values()]
-
-
-def test_colours_are_linear():
-    """#cd261e by hand: ((205/255 + 0.055)/1.055)^2.4 and so on [IEC 61966-2-1]."""
-    by_hand = [((v / 255 + 0.055) / 1.055) ** 2.4 for v in (205, 38, 30)]
-    np.testing.assert_allclose(colour(HslMixer.default(), "cadmium red"), by_hand, rtol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -167,11 +142,10 @@ def test_paints_are_added_and_replaced(same):
     edited = default.with_paints({"raw umber": same, "burnt umber": "#402010"})
     assert edited.paints == (*default.paints, "raw umber")
     for name, steps in (("raw umber", (50, 43, 38)), ("burnt umber", (64, 32, 16))):
-        np.testing.assert_allclose(255 * encoded(colour(edited, name)), steps, atol=1e-9)
-    found = 255 * encoded(edited.mix("raw umber", "burnt umber", 0.0))
-    np.testing.assert_allclose(found, (50, 43, 38), atol=1e-9)
+        np.testing.assert_allclose(255 * encoded(edited.mix(name, name, 0.0)), steps, atol=1e-9)
     others = [name for name in default.paints if name != "burnt umber"]
-    np.testing.assert_array_equal(colour(edited, others), colour(default, others))
+    kept = (m.colours[m.indices(others)] for m in (edited, default))
+    np.testing.assert_array_equal(*kept)
 
 
 @pytest.mark.parametrize(

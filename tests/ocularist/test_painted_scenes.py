@@ -20,7 +20,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.picture import draw
 from irisjax.render.points import project_points
-from irisjax.render.project import project_visible
+from irisjax.render.project import project
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.render.shading import IrisModel
@@ -48,14 +48,13 @@ def tables():
 
 
 @functools.cache
-def few():
-    """Pixels of a small picture that see the iris."""
-    return project_visible(EYE, dataclasses.replace(CAMERA, size=(40, 30))).iris
+def iris_pixels():
+    return project(EYE, CAMERA).iris
 
 
 @pytest.fixture(autouse=True, scope="module")
 def _made_once():
-    return tables(), few()
+    return tables(), iris_pixels()
 
 
 def coat(name, height=0.0, opacity=1.0, colour=WHITE):
@@ -180,7 +179,7 @@ STEPS = "_opacity_at", "_crossed", "_paint_over", "_light_under"
 def test_a_coat_that_changes_is_painted_with_those_below_alone(monkeypatch):
     names = "base", "low", "middle", "top"
     made = scene(*(coat(n, 0.1 * i, spots(i), RED) for i, n in enumerate(names)))
-    painting, parts = made.integrator.painting, (few(), made.lights, made.eye)
+    painting, parts = made.integrator.painting, (iris_pixels(), made.lights, made.eye)
     base = made.integrator.base(*parts, tables())
     done, steps = counting(monkeypatch, **dict.fromkeys(STEPS, integrator)), {}
     first = made.integrator.paint(base, steps)
@@ -192,7 +191,7 @@ def test_a_coat_that_changes_is_painted_with_those_below_alone(monkeypatch):
         found = painted.paint(base, dict(steps))
         counts = tuple(done.values())
         front = IrisModel(made.eye, None, None)
-        whole = painted.illuminate(few(), made.lights, front, tables(), None)
+        whole = painted.illuminate(iris_pixels(), made.lights, front, tables(), None)
         np.testing.assert_allclose(found, whole, atol=1e-12)
         assert np.abs(np.asarray(found - first)).max() > 1e-3
         return counts
@@ -211,9 +210,6 @@ def test_painted_scenes_have_colours_and_no_spectra():
         draw(painted.replace(wavelengths=(500.0, 600.0)), tables())
     with pytest.raises(ValueError, match="the iris is painted"):
         _ = painted.tissue
-
-
-def test_a_scene_without_an_iris_needs_paint():
     with pytest.raises(ValueError, match="an integrator of paint"):
         Scene(None, eye=EYE, lights=LAMP, camera=CAMERA, integrator=Separable())
 
@@ -223,7 +219,7 @@ def test_derivatives_by_colour_and_opacity_are_those_of_finite_differences():
     coats = coat("base", colour=RED), coat("spots", 0.1, shape), coat("haze", 0.2, spots(4), BLUE)
     made = scene(*coats)
     painting = made.integrator.painting
-    base = made.integrator.base(few(), LAMP, EYE, tables())
+    base = made.integrator.base(iris_pixels(), LAMP, EYE, tables())
 
     @jax.jit
     @jax.value_and_grad
@@ -254,9 +250,10 @@ def test_white_paint_is_a_white_sheet():
         lamp = dataclasses.replace(lamp, tint=one)  # of as many lamps as the environment below
         seen = in_the_middle(draw(scene(white, eye=FLAT, lights=lamp)))
         np.testing.assert_allclose(seen / (irradiance / np.pi * np.cos(polar)), 1, rtol=1e-3)
-    room = {"environment": Environment.uniform(), "environment_lights": LAMPS}
     # A lamp stands for 1/32 of the hemisphere.
-    seen = in_the_middle(draw(scene(white, eye=FLAT, lights=None, **room)))
+    seen = in_the_middle(
+        draw(scene(white, eye=FLAT, lights=Environment.uniform().to_lights(LAMPS)))
+    )
     np.testing.assert_allclose(seen, 1, rtol=1 / LAMPS)
 
 
