@@ -41,8 +41,13 @@ def first():
 
 
 @pytest.fixture(scope="module")
-def posed(first):
-    return pose_eye(outline_eye(first), SETTINGS)
+def outlined(first):
+    return outline_eye(first)
+
+
+@pytest.fixture(scope="module")
+def posed(outlined):
+    return pose_eye(outlined, SETTINGS)
 
 
 def flat(posed):
@@ -75,9 +80,9 @@ def test_a_pupil_fades_about_its_outline_as_wide_as_the_photograph_is_blurred(po
         assert middle == pytest.approx(outline * (1 + margin / 2), rel=1e-5)
 
 
-def test_a_flat_picture_is_not_unrefracted(first, posed):
+def test_a_flat_picture_is_not_unrefracted(outlined, posed):
     """Its pupil is as large as it appears, and nothing is mirrored; a cornea magnifies by 1.13."""
-    found = pose_eye(outline_eye(first), CloneSettings(media="flat"))
+    found = pose_eye(outlined, CloneSettings(media="flat"))
     limbus, pupil = (np.prod(e.semi_axes) for e in found.boundaries[:2])
     radius = float(found.pose.eye.limbus_radius) * np.sqrt(pupil / limbus)
     assert found.pose.pupil_radius == pytest.approx(radius, rel=0.01)

@@ -1,5 +1,7 @@
 """Lamps from their images on the cornea."""
 
+import functools
+
 import numpy as np
 import pytest
 
@@ -17,35 +19,43 @@ LIMBUS = Ellipse((100.0, 100.0), (87.0, 85.0), 0.35 + np.pi / 2)
 PUPIL = Ellipse((100.0, 100.0), (35.0, 34.0), 0.35 + np.pi / 2)
 
 
-@pytest.fixture(scope="module")
-def pose():
-    camera = Camera(polar=0.2, azimuth=0.35, distance=300.0, width=12.65, size=(201, 201))
-    return Pose(camera, (0, 0), Eye(), (0.0, 0.0), 2.0, 0.2, 0.01, (0.18, 0.22), None, "given")
+CAMERA = Camera(polar=0.2, azimuth=0.35, distance=300.0, width=12.65, size=(201, 201))
+POSE = Pose(CAMERA, (0, 0), Eye(), (0.0, 0.0), 2.0, 0.2, 0.01, (0.18, 0.22), None, "given")
 
 
-def _mirrored(pose, towards, radius, shape=None):
+DIM = np.full((*POSE.camera.shape, 3), 0.05)
+
+
+@functools.cache
+def view():
+    return project_visible(POSE.eye, POSE.camera)
+
+
+def _mirrored(towards, radius, shape=None):
     """A picture of a lamp of some angular radius on the cornea, over a dim iris; or of what has
     another shape: a function of the directions that pixels mirror.
     """
-    seen = project_visible(pose.eye, pose.camera).mirror
-    assert seen is not None
-    count = pose.camera.shape[0] * pose.camera.shape[1]
-    number = np.arange(count) if seen.index is None else np.asarray(seen.index)
+    seen = view().mirror
+    number = np.arange(DIM[..., 0].size) if seen.index is None else np.asarray(seen.index)
     mirror = np.stack([np.asarray(c) for c in seen.mirror], -1)[number >= 0]
-    row, column = np.divmod(number[number >= 0], pose.camera.size[0])
+    row, column = np.divmod(number[number >= 0], POSE.camera.size[0])
     # The white mirrors too, elsewhere.
     cornea = np.hypot(row - 100, column - 100) < 70
-    picture = np.full((*pose.camera.shape, 3), 0.05)
+    picture = DIM.copy()
     inside = mirror @ towards > np.cos(radius) if shape is None else shape(mirror)
     bright = cornea & inside
     picture[row[bright], column[bright]] = 1.0
     return picture
 
 
-def _told(picture, pose):
-    reflected = (picture > 0.5).all(-1) & (LIMBUS.radii(pose.camera.shape) < 0.9)
-    view = project_visible(pose.eye, pose.camera)
-    return find_lighting(picture, LIMBUS, PUPIL, reflected, pose, view)
+def _told(picture):
+    reflected = (picture > 0.5).all(-1) & (LIMBUS.radii(POSE.camera.shape) < 0.9)
+    return find_lighting(picture, LIMBUS, PUPIL, reflected, POSE, view())
+
+
+def _off(found, towards):
+    """Angle between two directions, degrees."""
+    return np.degrees(np.arccos(found @ towards / np.linalg.norm(found)))
 
 
 def _direction(polar, azimuth):
@@ -54,44 +64,43 @@ def _direction(polar, azimuth):
 
 
 @pytest.mark.parametrize(("polar", "azimuth"), [(0.3, 2.0), (0.7, -1.0)])
-def test_a_highlight_tells_where_its_lamp_stands(pose, polar, azimuth):
+def test_a_highlight_tells_where_its_lamp_stands(polar, azimuth):
     towards = _direction(polar, azimuth)
-    light = _told(_mirrored(pose, towards, 0.08), pose)
+    light = _told(_mirrored(towards, 0.08))
     assert (light.found, light.room) == (1, True)
     lights = light.lights()
-    found = np.asarray(lights.towards)[0]
-    assert np.degrees(np.arccos(found @ towards)) < 2
+    assert _off(np.asarray(lights.towards)[0], towards) < 2
     np.testing.assert_allclose(lights.irradiance, np.pi)
     assert float(lights.radius[0]) == pytest.approx(0.08, rel=0.4)
 
 
-def test_a_highlight_that_rounding_breaks_up_is_one_lamp(pose):
+def test_a_highlight_that_rounding_breaks_up_is_one_lamp():
     """And a white that is cut off, beside the limbus, is none."""
     towards = _direction(0.3, 2.0)
-    picture = _mirrored(pose, towards, 0.15)
-    row, column = np.indices(pose.camera.shape)
+    picture = _mirrored(towards, 0.15)
+    row, column = np.indices(POSE.camera.shape)
     uneven = (picture[..., 0] > 0.5) & (((row + column) % 5 == 0) | ((row - column) % 7 == 0))
     picture[uneven] = 0.9
-    picture[LIMBUS.radii(pose.camera.shape) > 0.99] = 1.0
-    light = _told(picture, pose)
+    picture[LIMBUS.radii(POSE.camera.shape) > 0.99] = 1.0
+    light = _told(picture)
     assert light.found == 1
-    assert np.degrees(np.arccos(np.asarray(light.lights().towards)[0] @ towards)) < 2
+    assert _off(np.asarray(light.lights().towards)[0], towards) < 2
 
 
-def test_two_lamps_share_the_light_by_their_areas(pose):
+def test_two_lamps_share_the_light_by_their_areas():
     one, other = _direction(0.5, 2.0), _direction(0.5, -1.0)
-    picture = np.maximum(_mirrored(pose, one, 0.12), _mirrored(pose, other, 0.07))
-    light = _told(picture, pose)
+    picture = np.maximum(_mirrored(one, 0.12), _mirrored(other, 0.07))
+    light = _told(picture)
     assert light.found == 2
     lights = light.lights()
-    off = np.degrees(np.arccos(np.asarray(lights.towards) @ np.stack([one, other], 1)))
-    assert off[0, 0] < 2 and off[1, 1] < 2
+    for found, towards in zip(np.asarray(lights.towards), (one, other), strict=True):
+        assert _off(found, towards) < 2
     first, second = np.asarray(lights.irradiance)
     assert first + second == pytest.approx(np.pi)
     assert first > 2 * second
 
 
-def test_a_wide_highlight_is_a_window_of_its_own_shape(pose):
+def test_a_wide_highlight_is_a_window_of_its_own_shape():
     """A window of two panes comes back with its bar, and lights the eye from where it stands."""
     towards = _direction(0.6, 2.4)
     right = np.cross(towards, [0.0, 1.0, 0.0])
@@ -103,7 +112,7 @@ def test_a_wide_highlight_is_a_window_of_its_own_shape(pose):
         bar = np.abs(x) < 0.06
         return (direction @ towards > 0) & (np.abs(x) < 0.4) & (np.abs(y) < 0.25) & ~bar
 
-    light = _told(_mirrored(pose, towards, 0, panes), pose)
+    light = _told(_mirrored(towards, 0, panes))
     assert (light.found, light.room, light.lamps) == (2, True, None)
     assert light.wide is not None
     x, y = np.meshgrid(np.linspace(-0.6, 0.6, 121), np.linspace(-0.4, 0.4, 81))
@@ -117,48 +126,46 @@ def test_a_wide_highlight_is_a_window_of_its_own_shape(pose):
     assert shown[(np.abs(x) < 0.03) & (np.abs(y) < 0.2)].max() < 0.5 * shown.max()
     lights = light.lights()
     assert float(lights.irradiance.sum()) == pytest.approx(np.pi)
-    middle = (np.asarray(lights.irradiance)[:, None] * np.asarray(lights.towards)).sum(0)
-    assert np.degrees(np.arccos(middle @ towards / np.linalg.norm(middle))) < 2
+    assert _off(np.asarray(lights.irradiance) @ np.asarray(lights.towards), towards) < 2
     around = light.surroundings(0.2)
     assert around is not None
     assert float(around.radiance.min()) == pytest.approx(0.2)
 
 
-def test_a_thin_wide_highlight_beside_a_bright_white_lights_the_eye(pose):
+def test_a_thin_wide_highlight_beside_a_bright_white_lights_the_eye():
     """Nothing of it was left where a filter took it for fibres, or the white was as bright."""
-    picture = np.full((*pose.camera.shape, 3), 0.05)
-    radius = LIMBUS.radii(pose.camera.shape)
+    picture = DIM.copy()
+    radius = LIMBUS.radii(POSE.camera.shape)
     picture[radius > 0.9] = 1.0
-    row, column = np.indices(pose.camera.shape)
+    row, column = np.indices(POSE.camera.shape)
     across, beside = np.abs(column - 100) < 36, (column // 2 == 50) & (row > 39) & (row < 60)
     picture[across & np.isin(row // 2, [20, 23, 26, 29]) | beside] = 1.0  # two pixels thick
-    light = _told(picture, pose)
+    light = _told(picture)
     assert light.found == 1 and light.wide is not None
     assert float(light.lights().irradiance.sum()) == pytest.approx(np.pi)
 
 
 @pytest.mark.parametrize(("value", "burnt_out"), [(0.6, False), (1.0, True)])
-def test_the_image_of_a_wide_light_tells_the_exposure(pose, value, burnt_out):
+def test_the_image_of_a_wide_light_tells_the_exposure(value, burnt_out):
     """A disc's radiance over the normal reflectance of water, seen where that hardly rises."""
     towards, radius = _direction(0.5, 2.0), 0.35
-    picture = _mirrored(pose, towards, radius)
+    picture = _mirrored(towards, radius)
     picture[picture > 0.5] = value
-    light = _told(picture, pose)
+    light = _told(picture)
     assert (light.found, light.lamps, light.burnt_out) == (1, None, burnt_out)
     radiance = value / (0.336 / 2.336) ** 2
     solid_angle = 2 * np.pi * (1 - np.cos(radius))
     # Less what the iris has under the image; pixels at the disc's edge count in full.
     assert light.exposure == pytest.approx(radiance * solid_angle / np.pi, rel=0.1)
-    middle = np.asarray(light.lights().towards).mean(0)
-    assert np.degrees(np.arccos(middle @ towards / np.linalg.norm(middle))) < 2
+    assert _off(np.asarray(light.lights().towards).mean(0), towards) < 2
 
 
-def test_without_a_highlight_light_comes_from_all_round(pose):
-    light = _told(np.full((*pose.camera.shape, 3), 0.05), pose)
+def test_without_a_highlight_light_comes_from_all_round():
+    light = _told(DIM)
     assert (light.found, light.room, light.lamps) == (0, False, None)
     lights = light.lights()
     assert len(lights.irradiance) > 10
-    mean = (np.asarray(lights.irradiance)[:, None] * np.asarray(lights.towards)).sum(0)
+    mean = np.asarray(lights.irradiance) @ np.asarray(lights.towards)
     np.testing.assert_allclose(mean[:2], 0, atol=0.05)
 
 

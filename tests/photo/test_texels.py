@@ -1,6 +1,7 @@
 """Every texel its own pigments: what a picture was drawn with comes back from its colours."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -68,14 +69,22 @@ def view():
     return project_visible(BARE, CAMERA)
 
 
+@functools.cache
+def drawn():
+    """The iris of two colours."""
+    return np.asarray(draw(scene_with(two_colours())))
+
+
+def radii(view):
+    return scatter_to_picture(view.iris, np.hypot(*map(np.asarray, view.iris.point[:2])), SHAPE)
+
+
 def solved(view, reflection: bool, wrong: float = 0.0):
-    """A drawn iris of two colours, its visible pixels, those of a reflection on it, and what is
-    found.
-    """
-    radius = scatter_to_picture(view.iris, np.hypot(*map(np.asarray, view.iris.point[:2])), SHAPE)
+    """The drawn iris, its visible pixels, those of a reflection on it, and what is found."""
+    radius = radii(view)
     inner, outer = float(BARE.pupil_radius) + 0.2, min(float(BARE.iris_radius), 5.5) - 0.3
     known = (radius > inner) & (radius < outer)
-    target = np.array(draw(scene_with(two_colours())))
+    target = drawn().copy()
     window = np.zeros(SHAPE, bool)
     window[20:26, 20:26] = known[20:26, 20:26] & reflection
     target[window] += np.array([0.02, 0.05, 0.4])
@@ -95,7 +104,7 @@ def test_the_picture_of_the_texels_is_the_photograph(view):
     edge of what is visible and on the rim beside the pupil as well.
     """
     target, known, window, found = solved(view, reflection=True)
-    radius = scatter_to_picture(view.iris, np.hypot(*map(np.asarray, view.iris.point[:2])), SHAPE)
+    radius = radii(view)
     rim = (radius > float(BARE.pupil_radius) + 0.05) & (radius < float(BARE.pupil_radius) + 0.2)
     assert not known[rim].any() and rim.any()
     pigments = _encoded(
@@ -135,11 +144,16 @@ def test_texels_of_a_strong_scatterer_stay_within_the_table_of_radiative_transfe
         np.testing.assert_allclose(factors_within_table(other).stroma, FACTORS.stroma)
 
 
-def test_the_numbers_and_their_deviations_are_those_of_the_drawing(view):
+@pytest.fixture(scope="module")
+def sure(view):
+    return solved(view, reflection=False)[-1]
+
+
+def test_the_numbers_and_their_deviations_are_those_of_the_drawing(sure):
     """Of all texels 85 to 95 in a hundred lie within two standard deviations of the prior and the
     noise; what trades with another (the melanins do) is known worse, and says so.
     """
-    found, true = solved(view, reflection=False)[-1], two_colours()
+    found, true = sure, two_colours()
     assert found.explained > 0.98 and found.gain == 1 and found.outside == 0
     cells = found.maps.shape[0] // ANGLES, found.maps.shape[1] // RADII
     shown = ~found.hidden
@@ -177,15 +191,14 @@ def test_a_residual_moves_a_channel_that_the_model_makes_negative():
 
 
 def test_a_residual_multiplies_the_iris_alone():
-    eye, maps = EYE.replace(cornea=None), two_colours()
-    plain = np.asarray(draw(scene_with(maps)))
+    maps = two_colours()
     factors = jnp.broadcast_to(jnp.asarray([2.0, 1.0, 0.5]), (*maps.shape, 3))
     tinted = np.asarray(draw(scene_with(maps.replace(residual=factors))))
-    np.testing.assert_allclose(tinted, plain * [2.0, 1.0, 0.5], rtol=1e-5)
+    np.testing.assert_allclose(tinted, drawn() * [2.0, 1.0, 0.5], rtol=1e-5)
     with pytest.raises(ValueError, match="map residual has shape"):
         maps.replace(residual=factors[..., :2])
     with pytest.raises(ValueError, match="without a residual"):
-        scene_with(maps.replace(residual=factors)).replace(eye=eye, wavelengths=(500.0, 600.0))
+        scene_with(maps.replace(residual=factors)).replace(wavelengths=(500.0, 600.0))
 
 
 def test_the_camera_sees_a_share_of_the_images():
@@ -212,9 +225,8 @@ def test_the_camera_sees_a_share_of_the_images():
     assert find_veil(dark, clear, pupil, view).max() < 0.05
 
 
-def test_an_exposure_that_is_not_known_moves_all_texels_as_their_deviations_say(view):
+def test_an_exposure_that_is_not_known_moves_all_texels_as_their_deviations_say(view, sure):
     """The same picture under an exposure that is wrong by a standard deviation of 15 %."""
-    sure = solved(view, reflection=False)[-1]
     off = solved(view, reflection=False, wrong=0.15)[-1]
     assert (sure.common == 0).all()
     moved = []
