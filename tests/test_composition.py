@@ -165,14 +165,9 @@ def test_traced_or_known_radiative_transfer_is_the_same():
 def test_traced_or_known_ilit_is_the_same():
     """An iris all of whose fields are traced gets a rule for every order of media."""
     solver = ij.IlitExact(process=ij.ILIT_CORRECTED)
-
-    @quick_jit
-    def traced(fields):
-        return spectrum(ij.Iris(**fields), solver=solver)
-
+    traced = quick_jit(lambda fields: spectrum(ij.Iris(**fields), solver=solver))
     fields = {name: jnp.asarray(value) for name, value in LOW.parameters().items()}
-    known = spectrum(LOW, solver=solver)
-    np.testing.assert_allclose(traced(fields), known, rtol=1e-9)
+    np.testing.assert_allclose(traced(fields), spectrum(LOW, solver=solver), rtol=1e-9)
 
 
 def test_a_base_without_pigments():
@@ -182,13 +177,9 @@ def test_a_base_without_pigments():
     base = ij.Iris().replace(**dict.fromkeys(none, 0.0))
     stated = ij.problem(data, base=base, solver=FEW)
     z = jnp.zeros(len(stated.free))
-    value, slope = quick_jit(lambda p, z: jax.value_and_grad(type(p).log_posterior, 1)(p, z))(
-        stated, z
-    )
-    assert np.isfinite(value)
-    assert np.isfinite(slope).all()
-    for x in stated.natural(z):
-        assert np.isfinite(x)
+    value_and_slope = quick_jit(jax.value_and_grad(type(stated).log_posterior, 1))
+    for x in (*value_and_slope(stated, z), *stated.natural(z)):
+        assert np.isfinite(x).all()
 
 
 # Devices --------------------------------------------------------------------------------------
