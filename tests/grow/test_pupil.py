@@ -1,7 +1,10 @@
-"""An irregular pupil: its edge, where tissue ends, its hand-over, and scene files."""
+"""A pupil beside the axis, and an irregular one: its edge, where maps lie and tissue ends, its
+hand-over, and scene files.
+"""
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -10,8 +13,8 @@ from irisjax.export.mesh import eye_meshes
 from irisjax.grow.pupil import irregular_pupil
 from irisjax.io.scenes import parse_scene, scene_text
 from irisjax.render.camera import Camera
-from irisjax.render.project import project_visible
-from irisjax.render.shading import camera_share
+from irisjax.render.project import IrisPixels, project_visible
+from irisjax.render.shading import camera_share, facing_at, relief_field
 
 CENTRE = np.array([-0.3, 0.1])
 HARMONICS = np.array([[0.02, -0.01], [0.0, 0.015]])
@@ -26,14 +29,14 @@ def edge(angle):
     return 1.5 * (1 + off + d * np.sin(3 * angle))
 
 
-@eqx.filter_jit
-def edge_of(eye, x, y):
-    return eye.pupil_edge(x, y)
+def on_ring(angle, share, edge=edge):
+    """The definition: curves from the pupil's edge to the root's circle, in proportion."""
+    radius = (1 - share) * edge(angle) + share * 5.5
+    return (1 - share) * CENTRE[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)])
 
 
-@eqx.filter_jit
-def ring_of(eye, x, y):
-    return eye.ring_of(x, y)
+edge_of = eqx.filter_jit(Eye.pupil_edge)
+ring_of = eqx.filter_jit(Eye.ring_of)
 
 
 def test_grown_edges_deviate_by_what_is_asked_for():
@@ -59,23 +62,45 @@ def test_tissue_ends_at_the_edge():
     assert (mixed & known).any()  # the round pupil ends elsewhere
 
 
-def test_maps_begin_at_the_edge():
-    angle = np.linspace(-3, 3, 40)
-    way = np.stack([np.cos(angle), np.sin(angle)])
-    ring, x, y = ring_of(EYE, *(CENTRE[:, None] + edge(angle) * way))
-    np.testing.assert_allclose(ring, 0, atol=2e-6)
-    np.testing.assert_allclose(np.arctan2(y, x), angle, atol=2e-6)
-    np.testing.assert_allclose(ring_of(EYE, *(5.5 * way))[0], 1, atol=2e-6)
-    assert BARE.pupil_edge(1.0, 2.0) is BARE.pupil_radius  # a round one costs nothing
-
-
 def test_mesh_has_the_edge_and_rings_between_it_and_the_root():
     mesh = eye_meshes(EYE, 0.5)["iris"]
     x, y, _ = np.asarray(mesh.vertices).T
-    angle, share = 2 * np.pi * mesh.vertex_attributes["u"], mesh.vertex_attributes["v"]
-    radius = (1 - share) * edge(angle) + share * 5.5
-    expected = (1 - share) * CENTRE[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)])
-    np.testing.assert_allclose(np.stack([x, y]), expected, atol=1e-6)
+    turn, share = (mesh.vertex_attributes[axis] for axis in "uv")
+    np.testing.assert_allclose(np.stack([x, y]), on_ring(2 * np.pi * turn, share), atol=1e-6)
+
+
+def test_rings_lie_between_pupil_and_root():
+    rng = np.random.default_rng(2)
+    angle, share = rng.uniform(-np.pi, np.pi, 50), rng.uniform(0, 1, 50)
+    point = on_ring(angle, share, lambda _: 1.5)
+    ends = (EYE, edge, 0 * share), (EYE, edge, 0 * share + 1)
+    for eye, inner, shares in ((BARE, lambda _: 1.5, share), *ends):
+        found, x, y = (np.asarray(v) for v in ring_of(eye, *on_ring(angle, shares, inner)))
+        np.testing.assert_allclose(found, shares, atol=2e-6)
+        np.testing.assert_allclose(np.exp(1j * np.arctan2(y, x)), np.exp(1j * angle), atol=2e-6)
+    bare = BARE.replace(pupil_centre=None)
+    one, other = (ring_of(eye, *point)[0] for eye in (BARE.replace(pupil_centre=np.zeros(2)), bare))
+    np.testing.assert_allclose(one, other, atol=2e-6)
+    assert BARE.pupil_edge(1.0, 2.0) is BARE.pupil_radius  # a round one costs nothing
+
+
+def test_relief_tilts_by_the_slope_of_its_surface():
+    """Of a height that is a plain function of x and y: its normals are known."""
+    angles, radii = 256, 64
+    angle = (np.arange(angles) + 0.5) * (2 * np.pi / angles)
+    share = np.broadcast_to((np.arange(radii) + 0.5) / radii, (angles, radii)).ravel()
+    x, y = on_ring(np.repeat(angle, radii), share, lambda _: 1.5)
+    height = 0.1 * np.sin(0.8 * x + 0.5 * y)
+    relief = relief_field(jnp.asarray(height.reshape(angles, radii)), BARE)
+    rng = np.random.default_rng(3)
+    u, v = on_ring(rng.uniform(-np.pi, np.pi, 40), rng.uniform(0.15, 0.85, 40), lambda _: 1.5)
+    point, ones = tuple(map(jnp.asarray, (u, v, np.full(40, 3.6)))), jnp.ones(40)
+    normal, _ = facing_at(IrisPixels(None, point, point, ones, ones), BARE, relief)
+    steep = 0.1 * np.cos(0.8 * u + 0.5 * v)
+    # Towards the cornea is −z: the surface is z = −height.
+    expected = np.stack([-0.8 * steep, -0.5 * steep, -np.ones(40)])
+    expected /= np.linalg.norm(expected, axis=0)
+    np.testing.assert_allclose(np.stack(normal), expected, atol=2e-4)
 
 
 def test_scene_files_grow_or_state_it():
@@ -86,13 +111,20 @@ def test_scene_files_grow_or_state_it():
     np.testing.assert_allclose(again.eye.pupil_harmonics, grown.eye.pupil_harmonics, rtol=1e-6)
     assert parse_scene(text.format("pupil_irregularity = 0")).scene().eye.pupil_harmonics is None
     for wrong, said in (
-        (
-            "pupil_irregularity = 0.2",
-            r"eye\.pupil_irregularity = .* must be a number in \[0, 0\.03",
-        ),
+        ("pupil_irregularity = 0.2", r"\.pupil_irregularity = .* must be a number in \[0, 0\.03"),
+        ("pupil_centre = [3.0, 0.0]", r"eye\.pupil_centre = .* must be"),
         ("pupil_harmonics = [[0.01]]", r"eye\.pupil_harmonics = .* must be pairs \[cosine, sine\]"),
         ("pupil_harmonics = [[0.2, 0]]", r"eye\.pupil_harmonics = .* must be a number in \[-0\.05"),
         ("pupil_irregularity = 0.01\npupil_harmonics = [[0.01, 0]]", "not both"),
     ):
         with pytest.raises(ValueError, match=said):
             parse_scene(text.format(wrong)).scene()
+    shown = parse_scene(text.format("pupil_centre = [0.1, -0.2]")).scene().eye
+    np.testing.assert_allclose(shown.pupil_centre, [0.1, -0.2])
+
+
+def test_what_is_no_pupil():
+    with pytest.raises(ValueError, match=r"root of the iris; it must be below 0\.75 mm"):
+        BARE.replace(pupil_radius=4.75, pupil_centre=np.array([0.8, 0.2]))
+    with pytest.raises(ValueError, match="need x and y"):
+        BARE.replace(pupil_centre=np.zeros(3))

@@ -5,7 +5,7 @@ import functools
 import numpy as np
 import pytest
 
-from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.light import find_lighting, find_shade
 from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pose import Pose
@@ -171,7 +171,7 @@ def test_without_a_highlight_light_comes_from_all_round():
 
 def test_the_limbus_shades_the_side_of_the_lamp():
     """A lamp low on the right leaves the right rim dark; light from all round fills the shadow."""
-    eye, size = Eye(), 128
+    eye, size = Eye(cornea=Cornea(posterior=None)), 128
     radius, _ = texels_of(size)
     valid = (radius > 2.0) & (radius < 5.2)
     texture = Unrefracted(np.ones((size, size, 3), np.float32), valid, 2.0, 5.5)
