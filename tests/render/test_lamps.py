@@ -42,12 +42,8 @@ def test_near_lamp_on_the_iris(tables):
     way = lamp - entry
     length = np.linalg.norm(way, axis=1)
     traced = trace(EYE, k, way / length[:, None])
-    power = (
-        np.where(traced.inside, traced.power, 0)
-        * area
-        * soft_edge(np.hypot(*k.T), 5.5)
-        * (50.0 / length) ** 2
-    )
+    power = np.where(traced.inside, traced.power, 0) * area * (50.0 / length) ** 2
+    power = power * soft_edge(np.hypot(*k.T), 5.5)
     field = shading.incident_flux(Lights.points(lamp, 1.0), EYE, tables)[0]
     line = np.linspace(-1, 1, field.shape[-1]) * float(EYE.iris_radius)
     x, y = np.meshgrid(line, line)
@@ -60,11 +56,9 @@ def test_near_lamp_on_the_iris(tables):
 
 
 def test_far_points_are_distant(tables):
-    near, far = (
-        Lights.points([3e6, 2e6, -5e6], 1.0),
-        Lights.distant(np.arctan2(13**0.5, 5), np.arctan2(2, 3), 1.0),
-    )
-    fields = [np.asarray(shading.incident_flux(lights, EYE, tables)) for lights in (near, far)]
+    far = Lights.distant(np.arctan2(13**0.5, 5), np.arctan2(2, 3), 1.0)
+    pair = Lights.points([3e6, 2e6, -5e6], 1.0), far
+    fields = [np.asarray(shading.incident_flux(lights, EYE, tables)) for lights in pair]
     np.testing.assert_allclose(*fields, atol=1e-5)
 
 
@@ -86,9 +80,8 @@ def test_round_white_keeps_its_power():
     polar, azimuth = np.arccos(1 - 2 * i / 4000), i * np.pi * (3 - np.sqrt(5))
     room = Lights.distant(polar, azimuth, 4 * np.pi / 4000)
     assert lit(room, (0.6, 0.0, -0.8)) == pytest.approx(np.pi, rel=1e-3)
-    straight, slant, past = (
-        lit(Lights.distant(a, 0.0, 1.0), (0.0, 0.0, -1.0)) for a in (0.0, 1.1, 1.8)
-    )
+    facing = 0.0, 0.0, -1.0
+    straight, slant, past = (lit(Lights.distant(a, 0.0, 1.0), facing) for a in (0.0, 1.1, 1.8))
     assert slant / straight == pytest.approx(np.cos(1.1)) and straight == pytest.approx(1 / 1.03)
     assert 0 < past < 0.02
 

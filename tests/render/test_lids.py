@@ -32,9 +32,7 @@ def test_lines_of_sight_end_on_the_surface():
 
     @quick_jit
     def missed(eye):
-        x, y, z = jnp.moveaxis(
-            origin + meet_lids(eye, origin, direction)[:, None] * direction, 1, 0
-        )
+        x, y, z = (origin + meet_lids(eye, origin, direction)[:, None] * direction).T
         return z - eye.lids.depth(x, y, centre), eye.lids.edge(x, y).outside
 
     off, outside = map(np.asarray, missed(EYE))
@@ -96,11 +94,9 @@ def test_lids_hide_what_lies_behind_them(seen):
     """Both projections show the same: all pixels for each part, and only those that see it."""
     every, whole = project(EYE, CAMERA), project(BARE, CAMERA)
     for name in ("iris", "sclera", "lids"):
-        few, all_of = (
-            scatter_to_picture(part, np.asarray(part.share), (24, 32))
-            for part in (getattr(view, name) for view in (seen, every))
-        )
-        np.testing.assert_allclose(few, all_of, atol=1e-12)
+        parts = (getattr(view, name) for view in (seen, every))
+        shares = (scatter_to_picture(p, np.asarray(p.share), (24, 32)) for p in parts)
+        np.testing.assert_allclose(*shares, atol=1e-12)
     hidden = np.asarray(every.lids.share > 0)
     assert (np.asarray(every.iris.share)[hidden] == 0).all()
     bare, lidded = ((np.asarray(view.iris.share) > 0).sum() for view in (whole, every))

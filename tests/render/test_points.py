@@ -25,22 +25,21 @@ def filled(*points):
     return jnp.asarray([*points, *[points[-1]] * (SIZE[0] * SIZE[1] - len(points))])
 
 
+def appear_there(found, seen, atol=1e-6):
+    assert np.asarray(found.visible)[seen].all()
+    for of, expected in ((found.column, COLUMN), (found.row, ROW)):
+        np.testing.assert_allclose(np.asarray(of)[seen], expected[: len(seen)][seen], atol=atol)
+
+
 @pytest.mark.parametrize(("polar", "distance"), [(0.0, 250.0), (0.6, 60.0), (1.2, 1e4)])
 def test_pixels_return(polar, distance):
     """A pixel's point of the iris and of the white appears in that pixel."""
     eye, camera = Eye(), Camera(polar, 0.8, distance, 24.0, SIZE)
     view = there(eye, camera)
-    seen = np.asarray(view.iris.share) > 1e-3
-    assert seen.sum() > 15
-    found = back(eye, camera, from_parts(view.iris.point))
-    assert np.asarray(found.visible)[seen].all()
-    np.testing.assert_allclose(np.asarray(found.column)[seen], COLUMN[seen], atol=1e-6)
-    np.testing.assert_allclose(np.asarray(found.row)[seen], ROW[seen], atol=1e-6)
-    white = np.asarray(view.sclera.share) == 1
-    found = on_globe(eye, camera, from_parts(view.sclera.point))
-    assert np.asarray(found.visible)[white].all() and white.sum() > 20
-    np.testing.assert_allclose(np.asarray(found.column)[white], COLUMN[white], atol=1e-6)
-    np.testing.assert_allclose(np.asarray(found.row)[white], ROW[white], atol=1e-6)
+    seen, white = np.asarray(view.iris.share) > 1e-3, np.asarray(view.sclera.share) == 1
+    assert seen.sum() > 15 and white.sum() > 20
+    appear_there(back(eye, camera, from_parts(view.iris.point)), seen)
+    appear_there(on_globe(eye, camera, from_parts(view.sclera.point)), white)
 
 
 def test_without_a_cornea_and_in_a_part_of_the_picture():
@@ -48,11 +47,8 @@ def test_without_a_cornea_and_in_a_part_of_the_picture():
     eye = Eye(cornea=None, iris_slope=0.2)
     camera = Camera(0.5, 2.0, 90.0, 16.0, SIZE).crop_rows(3, 6)
     view = there(eye, camera)
-    seen = np.asarray(view.iris.share) > 0
     found = back(eye, camera, from_parts(view.iris.point))
-    assert np.asarray(found.visible)[seen].all()
-    np.testing.assert_allclose(np.asarray(found.row)[seen], ROW[: 6 * 16][seen], atol=1e-9)
-    np.testing.assert_allclose(np.asarray(found.column)[seen], COLUMN[: 6 * 16][seen], atol=1e-9)
+    appear_there(found, np.asarray(view.iris.share) > 0, 1e-9)
 
 
 def test_what_is_turned_away_is_not_visible():

@@ -51,12 +51,9 @@ def number(value):
 def scaled(iris, abl=1.0, stroma=1.0, scattering=1.0):
     """Layers of an iris, ABL and stroma so many times as deep, the stroma's albedo as given."""
     found = iris.layers(extinction(X), INDEX)
-    depths = found.abl_absorption * abl, found.extinction * stroma, found.albedo * scattering
-    return eqx.tree_at(
-        lambda x: (x.abl_absorption, x.stroma_absorption, x.stroma_scattering),
-        found,
-        (depths[0], depths[1] * (1 - depths[2]), depths[1] * depths[2]),
-    )
+    whole, albedo = found.extinction * stroma, found.albedo * scattering
+    depths = found.abl_absorption * abl, whole * (1 - albedo), whole * albedo
+    return ij.Layers(*depths, indices=found.indices, order=found.order)
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +95,7 @@ def test_each_pixel_is_its_brdf_times_its_light(eye):
     lights = Lights.distant(0.4, 1.0, 2.0) + Lights.distant(0.9, -2.0, 3.0)
     camera = Camera(polar=0.5, azimuth=0.3, size=(6, 4), width=10.0)
     parts = {"eye": eye, "camera": camera, "integrator": RadiativeIntegrator()}
-    given = draw(scene(lights=lights, maps=even(), wavelengths=tuple(map(float, X)), **parts))
+    given = draw(scene(lights=lights, maps=even(), wavelengths=tuple(X.tolist()), **parts))
     seen = project(eye, camera).iris
     normal = np.asarray(eye.iris_normal(jnp.stack(seen.point, -1)))
     view = -np.stack(seen.direction, -1)
@@ -118,9 +115,7 @@ def test_each_pixel_is_its_brdf_times_its_light(eye):
         n, out = normal[pixel], view[pixel]
         for flux in fluxes:
             power = np.linalg.norm(flux[pixel])
-            if power == 0:
-                continue
-            towards = flux[pixel] / power
+            towards = flux[pixel] / max(power, 1e-300)
             incidence = -towards @ n
             if incidence <= 0:
                 continue
@@ -131,11 +126,10 @@ def test_each_pixel_is_its_brdf_times_its_light(eye):
             value = np.asarray(solved(scaled(LIGHT), *parts).brdf)[:, 0]
             expected[pixel] += value * incidence * power * share[pixel]
     expected = expected * illuminant_power("D65", X)
-    bright = expected.max()
-    ring_of = expected.max(1) > 0
-    assert ring_of.sum() > 6
+    lit = expected.max(1) > 0
+    assert lit.sum() > 6
     found = np.asarray(given).reshape(24, 3)
-    np.testing.assert_allclose(found[ring_of], expected[ring_of], atol=3e-3 * bright)
+    np.testing.assert_allclose(found[lit], expected[lit], atol=3e-3 * expected.max())
 
 
 @pytest.mark.slow  # a minute and a half of compiling

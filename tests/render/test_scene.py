@@ -17,17 +17,7 @@ from irisjax.render.picture import draw, respond
 from irisjax.render.scene import Scene
 from irisjax.render.shading import sky_share
 from irisjax.tissue.maps import IrisMaps
-from render.small_scenes import (
-    BARE,
-    CLEAR,
-    CLOSE,
-    LIGHT,
-    QUICK,
-    SMALL,
-    around,
-    ring,
-    scene,
-)
+from render.small_scenes import BARE, CLEAR, CLOSE, LIGHT, QUICK, SMALL, around, ring, scene
 from render.tracing import trace
 
 
@@ -138,30 +128,27 @@ def test_maps_lie_where_they_are_drawn():
     """Dark above and right, in the eye's frame: the viewer sees it above and right."""
     corner = maps_of(eumelanin=ring(lambda x, y: 1 + 5.0 * ((x > 0) & (y > 0))))
     picture = np.asarray(draw(scene(maps=corner)))[..., 1]
-    six = ij.Iris.of_level("low").replace(eumelanin=6 * float(LIGHT.eumelanin))
+    six = LIGHT.replace(eumelanin=6 * float(LIGHT.eumelanin))
     light, dark = (np.asarray(draw(scene(iris=i)))[..., 1] for i in (LIGHT, six))
     x, y = places(SMALL)
     seen = (np.hypot(x, y) < 5) & (np.hypot(x, y) > 1) & (np.minimum(abs(x), abs(y)) > 0.3)
-    np.testing.assert_allclose(
-        picture[seen], np.where((x > 0) & (y > 0), dark, light)[seen], rtol=1e-2
-    )
+    expected = np.where((x > 0) & (y > 0), dark, light)
+    np.testing.assert_allclose(picture[seen], expected[seen], rtol=1e-2)
     assert (dark[seen] < 0.8 * light[seen]).all()
     # From the right the camera sees the right half wider, its own left and right as they were.
-    turned = np.asarray(
-        draw(scene(maps=corner, camera=Camera(polar=0.6, size=(12, 9), width=11.0)))
-    )[..., 1]
+    aside = Camera(polar=0.6, size=(12, 9), width=11.0)
+    turned = np.asarray(draw(scene(maps=corner, camera=aside)))[..., 1]
     assert turned[1:4, 7:9].mean() < 0.8 * turned[1:4, 3:5].mean()
 
 
 def test_cornea_of_air_is_no_cornea():
     air = CLOSE.replace(cornea=Cornea(index=1.0, scatter=None), aqueous_index=1.0)
     made = Illumination.build(air, caustics=False, size=65)
-    x, y = places(SMALL)
-    inside = np.hypot(x, y) < 4.5  # slanting light reaches the rest from beyond the limbus
-    pictures = [
-        np.asarray(draw(scene(eye, 0.3, 1.0), t))[inside]
-        for eye, t in ((air, made), (BARE.replace(aqueous_index=1.0), None))
-    ]
+    inside = (
+        np.hypot(*places(SMALL)) < 4.5
+    )  # slanting light reaches the rest from beyond the limbus
+    both = (air, made), (BARE.replace(aqueous_index=1.0), None)
+    pictures = [np.asarray(draw(scene(eye, 0.3, 1.0), t))[inside] for eye, t in both]
     np.testing.assert_allclose(*pictures, rtol=2e-3, atol=1e-6)
 
 
@@ -194,8 +181,8 @@ def test_extremes_are_finite_and_no_darker_than_black(name, request):
 
 
 def test_no_pigment_at_all():
-    pigments = "eumelanin", "pheomelanin", "oxyhemoglobin", "deoxyhemoglobin", "lutein"
-    clear = LIGHT.replace(**dict.fromkeys((*pigments, "zeaxanthin"), 0.0))
+    pigments = "eumelanin pheomelanin oxyhemoglobin deoxyhemoglobin lutein zeaxanthin"
+    clear = LIGHT.replace(**dict.fromkeys(pigments.split(), 0.0))
     holes = maps_of(abl_depth=0.0, stroma_depth=0.0)
     for maps in (None, holes):
         picture = np.asarray(draw(scene(maps=maps, iris=clear)))

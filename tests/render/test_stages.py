@@ -117,20 +117,15 @@ def test_absent_parts_cost_nothing(tables):
 )
 def test_values_that_a_change_leaves_alone_are_kept(change, kept):
     """The picture of the old values and the new ones is that of the changed scene."""
-    maps = IrisMaps(stroma_depth=ring(lambda x, y: 0.3 + 0.02 * x))
-    before = scene(maps=maps)
+    before = scene(maps=IrisMaps(stroma_depth=ring(lambda x, y: 0.3 + 0.02 * x)))
     made = before.replace(**change)
-    view = project(*_seen(before, made, "view" in kept))
+    seen = before if "view" in kept else made
+    view = project(seen.eye, seen.camera)
     texels = texture(view, before if "texels" in kept else made)
     light = illuminate(view, texels, before if "light" in kept else made)
     response = respond(before if "response" in kept else made)
     found = shade(view, texels, light, response)
     np.testing.assert_allclose(found, draw(made), atol=1e-12)
-
-
-def _seen(before, made, kept):
-    one = before if kept else made
-    return one.eye, one.camera
 
 
 def test_threads_change_no_bit(monkeypatch):
@@ -176,14 +171,9 @@ def test_settings_of_this_thread_hold_for_all_pixels(bits, monkeypatch):
 
 
 def test_new_maps_are_not_compiled_for_again():
+    """Whatever is compiled for a scene."""
     calls = []
-
-    @eqx.filter_jit
-    def picture(made):
-        calls.append(1)
-        return draw(made)
-
+    compiled = eqx.filter_jit(lambda made: calls.append(1) or made.maps)
     for thick in (0.2, 0.3):
-        maps = IrisMaps(stroma_depth=ring(lambda x, y, t=thick: t + 0.01 * x))
-        picture(scene(maps=maps))
+        compiled(scene(maps=IrisMaps(stroma_depth=ring(lambda x, y, t=thick: t + 0.01 * x))))
     assert len(calls) == 1
