@@ -37,10 +37,8 @@ def test_an_iris_as_the_carry_of_a_scan():
     factors = jnp.asarray([1.0, 1.1, 1.2])
     last, found = run(LOW, factors)
     assert last.order == LOW.order
-    expected = [
-        spectrum(LOW.replace(eumelanin=0.1201 * c, stroma_thickness=0.3), solver=FEW)
-        for c in (1, 1.1)
-    ]
+    irides = (LOW.replace(eumelanin=0.1201 * c, stroma_thickness=0.3) for c in (1, 1.1))
+    expected = [spectrum(iris, solver=FEW) for iris in irides]
     np.testing.assert_allclose(found[:2], expected, rtol=1e-12)
     batch = jax.tree.map(lambda x: jnp.stack([x, x]), LOW)
     both, values = jax.vmap(run, in_axes=(0, None))(batch, factors)
@@ -110,12 +108,12 @@ def like(f, *arguments):
 
 
 def values():
-    iris = ij.Iris.of_level("low")
+    iris, extinction = LOW, ij.extinction(np.asarray(GRID))
     return {
         "iris": iris,
         "indices": iris.indices(),
-        "layers": iris.layers(ij.extinction(np.asarray(GRID))),
-        "extinction": ij.extinction(np.asarray(GRID)),
+        "layers": iris.layers(extinction),
+        "extinction": extinction,
         "media": ij.Media(),
         "spectrophotometer": ij.Spectrophotometer(GRID),
         "radiometer": ij.Radiometer(GRID),
@@ -138,12 +136,10 @@ def test_public_values_are_pytrees():
     all_through = jax.jit(lambda x: x)(made)  # one program
     for name, value in made.items():
         leaves, structure = jax.tree.flatten(value)
-        again = jax.tree.unflatten(structure, leaves)
+        again, through = jax.tree.unflatten(structure, leaves), all_through[name]
         assert type(again) is type(value), name
-        assert jax.tree.structure(again) == structure, name
+        assert jax.tree.structure(again) == jax.tree.structure(through) == structure, name
         assert hash(structure) == hash(jax.tree.structure(again)), name
-        through = all_through[name]
-        assert jax.tree.structure(through) == structure, name
         for a, b in zip(jax.tree.leaves(through), leaves, strict=True):
             assert (a.dtype, a.shape) == (jnp.asarray(b).dtype, np.shape(b)), name
             np.testing.assert_array_equal(a, b, err_msg=name)
@@ -177,8 +173,7 @@ def test_traced_or_known_ilit_is_the_same():
 
 
 def test_a_base_without_pigments():
-    grid = ij.wavelengths(420, 680, 20)
-    data = ij.spectrum(grid, np.linspace(0.06, 0.02, 14), sd=np.full(14, 1e-3))
+    data = ij.spectrum(np.asarray(GRID), np.linspace(0.06, 0.02, 4), sd=np.full(4, 1e-3))
     none = ("eumelanin", "pheomelanin", "oxyhemoglobin", "deoxyhemoglobin")
     base = ij.Iris().replace(**dict.fromkeys(none, 0.0))
     stated = ij.problem(data, base=base, solver=FEW)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import exact
+from common import LEVELS, exact
 
 GRID = ij.wavelengths(400, 700, 1)
 
@@ -38,25 +38,20 @@ def test_blood_w(level, expected):
 
 def test_blood_w_comes_from_blood():
     """Without blood the spectrum bends the other way: no hump above the chord of 542 and 577 nm."""
+
+    def bend(iris):
+        values = np.asarray(ij.reflectance(iris, GRID, first_surface=False).values)
+        return at(values, 560) - (at(values, 542) * 17 + at(values, 577) * 18) / 35
+
     for level in ("low", "high"):
         iris = ij.Iris.of_level(level)
         bloodless = iris.replace(oxyhemoglobin=0.0, deoxyhemoglobin=0.0)
-        values = {
-            name: np.asarray(ij.reflectance(x, GRID, first_surface=False).values)
-            for name, x in (("with", iris), ("without", bloodless))
-        }
-        bend = {
-            name: at(v, 560) - (at(v, 542) * 17 + at(v, 577) * 18) / 35
-            for name, v in values.items()
-        }
-        assert bend["with"] > 0.0002
-        assert bend["without"] < bend["with"] / 3
+        assert bend(iris) > max(0.0002, 3 * bend(bloodless))
 
 
 def test_range_between_levels():
     gap = spectrum("low") - spectrum("high")
-    coarse = gap[::10]
-    assert 400 + 10 * int(np.argmax(coarse)) == 460
+    assert 400 + 10 * int(np.argmax(gap[::10])) == 460
     assert at(gap, 460) == pytest.approx(0.0356, abs=5e-5)
     assert at(gap, 700) == pytest.approx(0.0066, abs=5e-5)
     # Shrinks from 600 nm on.
@@ -66,11 +61,8 @@ def test_range_between_levels():
 @pytest.mark.parametrize("process", [ij.ILIT_2006, ij.ILIT_CORRECTED])
 @pytest.mark.parametrize("fraction", [0.2, 0.5, 0.8])
 def test_more_melanin_is_darker(process, fraction):
-    low, moderate, high = (
-        spectrum(level, fraction, process) for level in ("low", "moderate", "high")
-    )
-    assert (low > moderate).all()
-    assert (moderate > high).all()
+    low, moderate, high = (spectrum(level, fraction, process) for level in LEVELS)
+    assert (low > moderate).all() and (moderate > high).all()
 
 
 @pytest.mark.parametrize("level", ["moderate", "high"])
@@ -89,12 +81,11 @@ def test_brdf_is_near_lambertian(level, angle):
     """At 550 nm the factor π f / R stays within 1/8 of one out to 60 degrees, and is the same for
     both incidences.
     """
-    iris, grid = ij.Iris.of_level(level), np.array([550.0])
-    exits = np.cos(np.radians(np.arange(0, 61, 5)))
-    cosine = float(np.cos(np.radians(angle)))
+    at = ij.Iris.of_level(level), np.array([550.0])
+    exits, cosine = np.cos(np.radians(np.arange(0, 61, 5))), float(np.cos(np.radians(angle)))
     seen = {"cos_incidence": cosine, "solver": ij.IlitExact(12)}
-    f = np.asarray(ij.brdf(iris, grid, cos_exit=exits, **seen).values[0])
-    whole = ij.reflectance(iris, grid, first_surface=False, **seen).values[0]
+    f = np.asarray(ij.brdf(*at, cos_exit=exits, **seen).values[0])
+    whole = ij.reflectance(*at, first_surface=False, **seen).values[0]
     assert np.abs(np.pi * f / float(whole) - 1).max() <= 0.126
     # Falls off monotonically towards grazing.
     assert (np.diff(f) < 0).all()

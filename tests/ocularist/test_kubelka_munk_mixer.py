@@ -90,17 +90,6 @@ def test_a_mixture_by_hand():
     np.testing.assert_allclose(mixer.mix("light", "dark", 0.25), np.full(3, by_hand), atol=1e-4)
 
 
-def test_colours_are_those_of_the_spectrum():
-    """By `colour_of`, of R∞ as the books write it."""
-    mixer = KubelkaMunkMixer.default()
-    first, second = "cadmium yellow", "cadmium red"
-    i, j = (mixer.paints.index(name) for name in (first, second))
-    k, s = (np.asarray(table[i] + table[j]) / 2 for table in (mixer.absorption, mixer.scattering))
-    spectrum = 1 + k / s - np.sqrt((k / s) ** 2 + 2 * k / s)
-    found = np.clip(colour_of(mixer.wavelengths, spectrum).srgb_linear, 0, 1)
-    np.testing.assert_allclose(mixer.mix(first, second, 0.5), found, atol=1e-12)
-
-
 def test_mixtures_lie_in_srgb_and_have_gradients():
     mixer, step = KubelkaMunkMixer.default(), 1e-6
     first = [name for name in mixer.paints for _ in mixer.paints]

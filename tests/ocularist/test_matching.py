@@ -84,27 +84,22 @@ def test_differences_are_of_lab():
     matrix = np.array(
         [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
     )
-    white = matrix.sum(1)
-    by_hand = np.linalg.norm(
-        np.subtract(*(lab_of(jnp.asarray(matrix @ c / white)) for c in (one, other)))
-    )
+    labs = (lab_of(jnp.asarray(matrix @ c / matrix.sum(1))) for c in (one, other))
+    by_hand = np.linalg.norm(np.subtract(*labs))
     found = difference(jnp.tile(one, (4, 1)), jnp.tile(other, (4, 1)))
     np.testing.assert_allclose(found, by_hand, rtol=1e-9)
 
 
 def test_a_painting_is_found_again_from_its_plan_view(target):
     found = matched(target)
-    assert found.converged
-    assert found.before.mean > 3
-    assert found.after.mean < 0.5
+    assert found.converged and found.after.mean < 0.5 < 3 < found.before.mean
     for recipe, true, start in zip(found.recipes, RECIPES, OTHERS, strict=True):
         assert recipe.opacity == pytest.approx(true.opacity, abs=0.05)
         assert recipe._replace(share=0, opacity=0) == start._replace(share=0, opacity=0)
 
 
 def test_what_is_not_known_has_no_say(target):
-    known = np.ones(SHAPE, bool)
-    known[:12] = False
+    known = np.broadcast_to(np.arange(SHAPE[0])[:, None] >= 12, SHAPE)
     spoilt = np.where(known[..., None], target, np.nan)
     found = matched(spoilt, known)
     assert found == matched(np.where(known[..., None], target, 1.0), known)

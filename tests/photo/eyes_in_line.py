@@ -8,10 +8,9 @@ import numpy as np
 
 from irisjax.anatomy.eye import Eye
 from irisjax.photo.photograph import Ellipse, ellipse_through
+from irisjax.photo.pose import project_iris_points
 from irisjax.render.camera import Camera
-from irisjax.render.points import project_points
 from irisjax.render.project import project_visible
-from irisjax.render.surfaces import IrisSurface
 
 _AROUND = np.linspace(0, 2 * np.pi, 64, endpoint=False)
 
@@ -22,8 +21,7 @@ def outlines(eye: Eye, camera: Camera) -> tuple[Ellipse, Ellipse]:
     limbus = _circle(eye.limbus_radius, eye.cornea.anterior.sagitta(eye.limbus_radius))
     rim = _pixel(eye, camera, jnp.asarray(limbus))
     hole = seen(eye, camera, _circle(eye.pupil_radius, eye.iris_depth))
-    limbus, pupil = (ellipse_through(np.stack([*map(np.asarray, p)], -1)) for p in (rim, hole[:2]))
-    return limbus, pupil
+    return tuple(ellipse_through(np.stack([*map(np.asarray, p)], -1)) for p in (rim, hole[:2]))
 
 
 def _circle(radius, depth):
@@ -36,14 +34,13 @@ def _pixel(eye, camera, points):
     return camera.pixel(points, eye)
 
 
-@eqx.filter_jit
-def _seen(eye, camera, points):
-    return project_points(IrisSurface(eye), camera, points)
-
-
 def seen(eye: Eye, camera: Camera, points):
-    """`project_points` of the iris, compiled."""
-    return _seen(eye, camera, jnp.asarray(points))
+    """Columns, rows and visibility of points of the iris, as many at a time as the package projects
+    for a pose: one program serves both.
+    """
+    blocks = np.pad(points, ((0, -len(points) % (64 * 33)), (0, 0)), mode="edge")
+    found = [project_iris_points(eye, camera, b) for b in blocks.reshape(-1, 64, 33, 3)]
+    return tuple(np.ravel(part)[: len(points)] for part in zip(*found, strict=True))
 
 
 def painted(eye: Eye, camera: Camera, paint: Callable) -> np.ndarray:

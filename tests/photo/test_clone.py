@@ -12,16 +12,7 @@ from scipy.ndimage import rotate, zoom
 from experiments.clone_truth import correlation, true_thickness
 from irisjax.io.photographs import read_photograph
 from irisjax.photo import clone as cloning
-from irisjax.photo.clone import (
-    CloneSettings,
-    Given,
-    clone_eye,
-    flatten_iris,
-    outline_eye,
-    pose_eye,
-    shape_iris,
-    width_by_rendering,
-)
+from irisjax.photo.clone import CloneSettings, Given, clone_eye, outline_eye, pose_eye
 from irisjax.photo.edges import reduce_picture
 from irisjax.photo.masks import cut_part, find_mirrored_face
 from irisjax.photo.photograph import Photograph
@@ -54,7 +45,7 @@ def flat(posed):
     """Laid flat on fewer texels than a clone has."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cloning, "follow_refraction", partial(follow_refraction, size=256))
-        return flatten_iris(posed)
+        return cloning.flatten_iris(posed)
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +83,7 @@ def test_a_flat_picture_is_not_unrefracted(outlined, posed):
 
 def test_thickness_of_a_photographed_iris_comes_back(alone):
     """The paper's method is better than the generic iris, and the model's than the paper's."""
-    truth, shaped = true_thickness("blue", alone.texture), shape_iris(alone, SETTINGS)
+    truth, shaped = true_thickness("blue", alone.texture), cloning.shape_iris(alone, SETTINGS)
 
     def score(**options):
         made = partial(shape_maps, alone.texture, shaped.freckles, **options)
@@ -108,16 +99,13 @@ def test_texture_under_a_highlight_is_the_seconds(first, alone):
     (x, y), radius = limbus.centre, limbus.semi_axes[0]
     row, column = np.indices(first.shape)
     disc = np.hypot(row - y - 0.476 * radius, column - x + 0.476 * radius) < 0.08 * radius
-    burnt = first._replace(
-        pixels=np.where(disc[..., None], np.float32(1), first.pixels),
-        saturated=first.saturated | disc,
-    )
+    pixels = np.where(disc[..., None], np.float32(1), first.pixels)
+    burnt = first._replace(pixels=pixels, saturated=first.saturated | disc)
     # Another camera: turned by four degrees and a tenth smaller, a little darker.
     turned = rotate(first.pixels, 4.0, reshape=False, order=1, mode="nearest")
     turned = zoom(turned, (0.9, 0.9, 1), order=1)
     second = Photograph(0.8 * turned, (turned > 0.99).any(-1), name="second")
-    outlines = {"limbus": limbus, "pupil": pupil}
-    given = Given(**outlines, second=second)
+    given = Given(limbus=limbus, pupil=pupil, second=second)
     found = flat(pose_eye(outline_eye(burnt, given), SETTINGS, given))
     without = unrefract(found.part, found.clear, found.pose, found.refraction)
     hidden = alone.texture.valid & ~without.valid
@@ -140,7 +128,7 @@ def test_the_width_with_the_nearest_rendering_is_found(monkeypatch, best):
         return SimpleNamespace(rms=0.01 + 0.002 * np.full(3, np.log(width / best) ** 2))
 
     monkeypatch.setattr(cloning, "compare_with_photograph", compared)
-    assert width_by_rendering(lambda width: width) == pytest.approx(best, rel=0.1)
+    assert cloning.width_by_rendering(lambda width: width) == pytest.approx(best, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +140,6 @@ def test_the_width_with_the_nearest_rendering_is_found(monkeypatch, best):
     ],
 )
 def test_unknown_names_are_refused(settings, last, message):
+    empty = Photograph(np.zeros((8, 8, 3)), np.zeros((8, 8), bool))
     with pytest.raises(ValueError, match=message):
-        next(
-            clone_eye(Photograph(np.zeros((8, 8, 3)), np.zeros((8, 8), bool)), settings, last=last)
-        )
+        next(clone_eye(empty, settings, last=last))

@@ -4,13 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from irisjax.photo.eye_colour import (
-    RINGS,
-    EyeColour,
-    depth_in_iris,
-    find_white,
-    measure_eye_colour,
-)
+from irisjax.photo.eye_colour import RINGS, depth_in_iris, find_white, measure_eye_colour
 from irisjax.photo.masks import Part
 from irisjax.photo.overlay import draw_colours
 from irisjax.photo.photograph import Ellipse
@@ -29,10 +23,8 @@ def linear(lab):
     import colour  # for a second, also in the worker that runs other files
 
     d65 = colour.CCS_ILLUMINANTS["CIE 1931 2 Degree Standard Observer"]["D65"]
-    xyz = colour.Lab_to_XYZ(lab, d65)
-    return colour.XYZ_to_sRGB(
-        xyz, d65, apply_cctf_encoding=False, chromatic_adaptation_transform=None
-    )
+    no = {"apply_cctf_encoding": False, "chromatic_adaptation_transform": None}
+    return colour.XYZ_to_sRGB(colour.Lab_to_XYZ(lab, d65), d65, **no)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +45,7 @@ def part_with(pixels):
     return Part(pixels, (pixels > 0.995).any(-1), off, LIMBUS, 1, (0, 0))
 
 
-def measured(pixels, clear=None) -> EyeColour:
+def measured(pixels, clear=None):
     shape = pixels.shape[:2]
     ring = LIMBUS.mask(shape) & ~PUPIL.mask(shape)
     return measure_eye_colour(part_with(pixels), PUPIL, ring if clear is None else clear, key=KEY)
@@ -98,9 +90,8 @@ def test_what_hides_the_iris_does_not_count(eye):
     pixels[30:48, 80:125] = SKIN
     found = measured(pixels)
     assert not found.visible[65:85, 115:130].any() and not found.visible[32:46, 82:122].any()
-    np.testing.assert_allclose(
-        found.regions["whole iris"].lab, plain.regions["whole iris"].lab, atol=1
-    )
+    labs = (f.regions["whole iris"].lab for f in (found, plain))
+    np.testing.assert_allclose(*labs, atol=1)
     half = np.ones(eye.shape[:2], bool)
     half[:, 100:] = False
     shown, whole = measured(eye, half).regions["ciliary ring"], plain.regions["ciliary ring"]

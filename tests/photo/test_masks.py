@@ -80,13 +80,11 @@ def test_a_faint_sky_over_the_pupil_is_followed_over_the_iris():
 
 def _lashes():
     """Curved streaks from above that end in the iris."""
-    drawn = np.zeros(SHAPE, bool)
+    drawn, down = np.zeros(SHAPE, bool), np.linspace(0, 1, 400)
+    row = np.round(45 + 70 * down).astype(int)
     for start, end in ((190, 215), (240, 232), (300, 270)):
-        down = np.linspace(0, 1, 400)
-        x = start + (end - start) * down**2
-        y = 45 + 70 * down
-        drawn[np.round(y).astype(int), np.round(x).astype(int)] = True
-        drawn[np.round(y).astype(int), np.round(x).astype(int) + 1] = True
+        column = np.round(start + (end - start) * down**2).astype(int)
+        drawn[row, column] = drawn[row, column + 1] = True
     return drawn
 
 

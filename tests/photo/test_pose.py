@@ -1,7 +1,5 @@
 """Where the camera stood, from outlines that a known camera projects."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from eyes_in_line import outlines
@@ -9,18 +7,7 @@ from eyes_in_line import outlines
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo import pose
 from irisjax.photo.photograph import Ellipse, ellipse_through
-from irisjax.photo.pose import (
-    DECENTRED,
-    FLATTENING_RATIO,
-    LIMBUS_FLAT,
-    LIMBUS_OVAL,
-    LIMBUS_RADII,
-    PUPIL_OVAL,
-    PUPIL_SHIFT,
-    find_pose,
-    limbus_spread,
-    tilts_of_people,
-)
+from irisjax.photo.pose import find_pose, limbus_spread, tilts_of_people
 from irisjax.render.camera import Camera
 
 EYE = Eye()
@@ -85,12 +72,7 @@ def test_the_cameras_picture_is_a_part_of_the_photograph(round_limbi):
     limbus, pupil = outlines(EYE, camera_at(0.3, 0.5))
     moved = [e._replace(centre=(e.centre[0] + 310.25, e.centre[1] - 17.5)) for e in (limbus, pupil)]
     found = find_pose(*moved, EYE)
-    # As if it were as large as the others, for the same program.
-    aside = (np.array(found.camera.size) - (1001, 901)) / 2
-    width = found.camera.width * 1001 / found.camera.size[0]
-    camera = dataclasses.replace(found.camera, width=width, size=(1001, 901))
-    part = (e._replace(centre=tuple(e.centre + aside)) for e in outlines(found.eye, camera))
-    for own, given in zip(part, moved, strict=True):
+    for own, given in zip(outlines(found.eye, found.camera), moved, strict=True):
         back = np.array(own.centre) + found.corner
         np.testing.assert_allclose(back, given.centre, atol=0.6)  # to whole pixels
         np.testing.assert_allclose(own.semi_axes, given.semi_axes, rtol=2e-3)
@@ -142,7 +124,7 @@ def test_outlines_of_no_eye(pupil, settings, message):
 
 
 def test_limbus_sizes_of_people():
-    radii = np.concatenate([[r] * n for r, n in LIMBUS_RADII])
+    radii = np.concatenate([[r] * n for r, n in pose.LIMBUS_RADII])
     assert len(radii) == 461
     assert (radii.min(), radii.max()) == (5.3, 6.5)
     assert limbus_spread() == pytest.approx((radii.mean(), radii.std()))
@@ -182,15 +164,15 @@ def test_intervals_hold_the_tilt_of_peoples_eyes(degrees):
         side = random.uniform(0, 2 * np.pi)
         turned = -np.log(np.cos(np.radians(degrees))) * np.exp(2j * (side + np.pi / 2))
         of_limbus, of_pupil = (
-            complex(*random.normal(0, sd, 2)) for sd in (LIMBUS_OVAL, PUPIL_OVAL)
+            complex(*random.normal(0, sd, 2)) for sd in (pose.LIMBUS_OVAL, pose.PUPIL_OVAL)
         )
         circle = Ellipse((300.0, 300.0), (100.0, 100.0))
-        limbus = _flattened(circle, turned + LIMBUS_FLAT + of_limbus)
-        aside = complex(*random.normal(0, DECENTRED / 5.9, 2)) + 0.2j / 5.9
-        aside += PUPIL_SHIFT * np.sin(np.radians(degrees)) * np.exp(1j * side)
-        pupil = _flattened(circle.scaled(0.4), turned / FLATTENING_RATIO + of_pupil)
+        limbus = _flattened(circle, turned + pose.LIMBUS_FLAT + of_limbus)
+        aside = complex(*random.normal(0, pose.DECENTRED / 5.9, 2)) + 0.2j / 5.9
+        aside += pose.PUPIL_SHIFT * np.sin(np.radians(degrees)) * np.exp(1j * side)
+        pupil = _flattened(circle.scaled(0.4), turned / pose.FLATTENING_RATIO + of_pupil)
         pupil = pupil._replace(centre=(300 + 100 * aside.real, 300 - 100 * aside.imag))
-        spread = np.array([LIMBUS_OVAL, PUPIL_OVAL])
+        spread = np.array([pose.LIMBUS_OVAL, pose.PUPIL_OVAL])
         _, (low, high), _ = tilts_of_people(limbus, pupil, spread)
         held += np.degrees(low) <= degrees <= np.degrees(high)
     assert held >= 0.9 * number

@@ -67,8 +67,7 @@ HIGHLIGHTS = [(140, 110, 16), (215, 180, 9)]
 
 
 @pytest.mark.parametrize(
-    ("scale", "turn", "shift"),
-    [(0.83, -0.21, (-11.0, 3.0)), (1.31, np.pi / 2, (20.0, 31.0))],
+    ("scale", "turn", "shift"), [(0.83, -0.21, (-11.0, 3.0)), (1.31, np.pi / 2, (20.0, 31.0))]
 )
 def test_a_similarity_is_found_to_half_a_pixel(scale, turn, shift):
     transform = similarity(scale, turn, shift)

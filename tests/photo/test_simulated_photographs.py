@@ -43,15 +43,9 @@ def reduced(name):
     return photo._replace(pixels=pixels, saturated=cut_off, focal_px=focal)
 
 
-def luminance(truth):
-    with Image.open(FOLDER / truth["file"]) as image:
-        return np.asarray(image.convert("L"), float)
-
-
 def test_every_picture_has_its_truth():
     assert {t["file"] for t in TRUTH} == {p.name for p in FOLDER.glob("*.jpg")}
-    assert len(TRUTH) == 12
-    assert len(CLEAN) == 6
+    assert (len(TRUTH), len(CLEAN)) == (12, 6)
 
 
 @by_file(TRUTH)
@@ -61,10 +55,9 @@ def test_file(truth):
     with Image.open(path) as image:
         assert list(image.size) == truth["size_px"]
         of_camera = image.getexif().get_ifd(0x8769)
-    focal = truth["camera"]["focal_px"]
-    assert focal == pytest.approx(
-        truth["camera"]["distance"] * truth["size_px"][0] / truth["camera"]["width"]
-    )
+    camera = truth["camera"]
+    focal = camera["focal_px"]
+    assert focal == pytest.approx(camera["distance"] * truth["size_px"][0] / camera["width"])
     # FocalLengthIn35mmFilm by the diagonal, and FocalLength with pixels per centimetre.
     diagonal = np.hypot(*truth["size_px"])
     assert of_camera[0xA405] * diagonal / 43.27 == pytest.approx(focal, rel=1e-3)
@@ -77,24 +70,22 @@ def test_edges_lie_on_the_outlines(truth, name):
     """Dark inside, bright outside, 3 pixels to either side (of the pupil's edge where no highlight
     is near).
     """
-    ellipse, picture = outline(truth, name), luminance(truth)
-    along = np.linspace(0, 2 * math.pi, 720, endpoint=False)
-
-    def at(pixels):
-        a, b = ellipse.semi_axes
-        moved = ellipse._replace(semi_axes=(a + pixels, b + pixels))
-        column, row = np.round(moved.points(along)).astype(int).T
-        return picture[row, column]
-
-    inside, outside = at(-3), at(3)
+    ellipse, along = outline(truth, name), np.linspace(0, 2 * math.pi, 720, endpoint=False)
+    with Image.open(FOLDER / truth["file"]) as image:
+        picture = np.asarray(image.convert("L"), float)
+    sizes = (np.add(ellipse.semi_axes, pixels) for pixels in (-3, 3))
+    points = (
+        np.round(ellipse._replace(semi_axes=tuple(s)).points(along)).astype(int) for s in sizes
+    )
+    inside, outside = (picture[row, column] for column, row in (p.T for p in points))
     middle = (np.median(inside) + np.median(outside)) / 2
     # Iris in the shadow of the limbus is hardly brighter than the pupil.
     assert (inside < middle).mean() > 0.97
     assert (outside > middle).mean() > 0.97
 
 
-@by_file([t for t in TRUTH if t["file"] == "blue_tilted_dirty.jpg"])
-def test_outlines_are_found_to_a_hundredth_of_their_radius_and_the_tilt_to_2_degrees(truth):
+def test_outlines_are_found_to_a_hundredth_of_their_radius_and_the_tilt_to_2_degrees():
+    truth = next(t for t in TRUTH if t["file"] == "blue_tilted_dirty.jpg")
     photo = reduced(truth["file"])
     found = find_boundaries(photo)
     along = np.linspace(0, 2 * math.pi, 90)
@@ -121,11 +112,8 @@ def test_scene(truth):
     assert float(scene.lights.irradiance[0]) == pytest.approx(truth["lamp"]["irradiance"])
     whole = scene.iris.abl_thickness + scene.iris.stroma_thickness
     for pigment in ("eumelanin", "pheomelanin"):
-        mass = sum(
-            truth["concentrations"][f"{pigment}_{layer}"]
-            * float(getattr(scene.iris, f"{layer}_thickness"))
-            for layer in ("abl", "stroma")
-        )
+        layers = (("abl", scene.iris.abl_thickness), ("stroma", scene.iris.stroma_thickness))
+        mass = sum(truth["concentrations"][f"{pigment}_{n}"] * float(depth) for n, depth in layers)
         assert mass == pytest.approx(float(getattr(scene.iris, pigment) * whole), rel=1e-5)
 
 

@@ -47,10 +47,9 @@ def two_colours() -> IrisMaps:
     angle = np.arange(ANGLES)[:, None] * (2 * np.pi / ANGLES)
     ring = np.broadcast_to(np.arange(RADII) < 7, (ANGLES, RADII))
     depth = 0.4 * np.exp(0.4 * np.sin(6 * angle)) * np.ones((1, RADII))
-    maps = depth, np.where(ring, 0.5, 1.5), np.where(ring, 6.0, 1.0)
-    names = "stroma_depth", "eumelanin", "pheomelanin"
-    maps = (jnp.asarray(m, jnp.float32) for m in maps)
-    return IrisMaps(**dict(zip(names, maps, strict=True)))
+    melanins = np.where(ring, 0.5, 1.5), np.where(ring, 6.0, 1.0)
+    stroma, eumelanin, pheomelanin = (jnp.asarray(m, jnp.float32) for m in (depth, *melanins))
+    return IrisMaps(stroma_depth=stroma, eumelanin=eumelanin, pheomelanin=pheomelanin)
 
 
 def cells_of(shape) -> Refraction:
@@ -107,17 +106,20 @@ def test_the_picture_of_the_texels_is_the_photograph(view):
     radius = radii(view)
     rim = (radius > float(BARE.pupil_radius) + 0.05) & (radius < float(BARE.pupil_radius) + 0.2)
     assert not known[rim].any() and rim.any()
-    pigments = _encoded(
-        draw(scene_with(found.maps.replace(residual=None)).replace(iris=found.iris))
+    pigments, whole = (
+        _encoded(draw(scene_with(maps).replace(iris=found.iris))) - _encoded(target)
+        for maps in (found.maps.replace(residual=None), found.maps)
     )
+
+    def rms(off, part):
+        return np.sqrt((off[part] ** 2).mean())
+
     inside = known & ~window
-    assert np.sqrt(((pigments - _encoded(target))[inside] ** 2).mean()) < 0.04
+    assert rms(pigments, inside) < 0.04
     # A blue reflection is none that pigments make: the residual keeps it.
-    whole = _encoded(draw(scene_with(found.maps).replace(iris=found.iris)))
     for part in (inside, inside & ~ndimage.binary_erosion(inside), rim):
-        assert np.sqrt(((whole - _encoded(target))[part] ** 2).mean()) < 0.01
-    off = [np.sqrt(((p - _encoded(target))[window] ** 2).mean()) for p in (pigments, whole)]
-    assert off[0] > 0.05 and off[1] < 0.5 * off[0]
+        assert rms(whole, part) < 0.01
+    assert rms(pigments, window) > max(0.05, 2 * rms(whole, window))
     assert 0.5 * window.sum() / known.sum() < found.outside < 2 * window.sum() / known.sum()
     assert found.gain == 1
     # Maps have the precision of the table that was inverted, so that its program draws the picture.
@@ -130,14 +132,10 @@ def test_texels_of_a_strong_scatterer_stay_within_the_table_of_radiative_transfe
     strong = usual_iris(0.2855).replace(scattering_scale=70 / 7, eumelanin=0.1)
     scene = dataclasses.replace(scene_with(None), iris=strong, integrator=RadiativeIntegrator())
     found = factors_within_table(scene)
-    scales = (Scales(stroma=jnp.asarray(s)) for s in (found.stroma[1], FACTORS.stroma[1]))
-    wavelengths = [400.0, 550.0, 655.0]
-    table = quickest(strong, scene.eye.aqueous_index, DEPTH_RESOLVED)
-    held = [
-        table.holds(texel_layers(strong, scene.eye.aqueous_index, extinction(wavelengths), s))
-        for s in scales
-    ]
-    assert held == [True, False]
+    index, x = scene.eye.aqueous_index, extinction([400.0, 550.0, 655.0])
+    table = quickest(strong, index, DEPTH_RESOLVED)
+    for most, held in ((found.stroma[1], True), (FACTORS.stroma[1], False)):
+        assert table.holds(texel_layers(strong, index, x, Scales(stroma=jnp.asarray(most)))) == held
     # Weak scatterers and ILIT have no such end.
     weak = scene.replace(iris=strong.replace(scattering_scale=0.01))
     for other in (weak, scene_with(None)):
@@ -155,8 +153,7 @@ def test_the_numbers_and_their_deviations_are_those_of_the_drawing(sure):
     """
     found, true = sure, two_colours()
     assert found.explained > 0.98 and found.gain == 1 and found.outside == 0
-    cells = found.maps.shape[0] // ANGLES, found.maps.shape[1] // RADII
-    shown = ~found.hidden
+    cells, shown = np.array(found.maps.shape) // (ANGLES, RADII), ~found.hidden
     fitted, drawn = found.iris.layer_concentrations(), BASE.layer_concentrations()
     scales = {
         "stroma_depth": float(found.iris.scattering_scale / BASE.scattering_scale),

@@ -117,13 +117,9 @@ def test_relative_thickness_is_the_estimate_of_least_error(response):
     alone, _ = relative_thickness(R, np.expm1(0.6 * thicker), 0.6)
     back = np.log(alone / generic_thickness(R))
     np.testing.assert_allclose(back, thicker * 0.36 / (0.36 + 1 / 16), rtol=1e-3, atol=1e-5)
-
-
-def test_a_thickness_that_does_not_show_is_the_average():
-    """An opaque iris: no number is out of range, and nothing is told."""
-    contrast = 0.2 * _pattern(2.0)
-    found, clamped = relative_thickness(R, contrast, 0.0)
-    np.testing.assert_allclose(found, generic_thickness(R), rtol=1e-6)
+    # An opaque iris: no number is out of range, and nothing is told.
+    average, clamped = relative_thickness(R, thicker, 0.0)
+    np.testing.assert_allclose(average, generic_thickness(R), rtol=1e-6)
     assert not clamped.any()
 
 
@@ -174,8 +170,7 @@ def _texture():
 
 
 def test_bright_streaks_are_thick_and_the_iris_thins_outwards():
-    texture = _texture()
-    found = shape_maps(texture, shape=(192, 32))
+    found = shape_maps(_texture(), shape=(192, 32))
     depth = np.asarray(found.maps.stroma_depth)
     assert depth.shape == (192, 32)
     angle = (np.arange(192) + 0.5) * 2 * np.pi / 192
@@ -185,8 +180,7 @@ def test_bright_streaks_are_thick_and_the_iris_thins_outwards():
 
 
 def test_freckles_of_the_user_are_filled_and_handed_on():
-    texture = _texture()
-    radius, angle = texels_of(SIZE)
+    texture, (radius, angle) = _texture(), texels_of(SIZE)
     spot = np.maximum(abs(radius * np.cos(angle) - 3.5), abs(radius * np.sin(angle))) < 0.3
     spoilt = texture._replace(pixels=np.where(spot[..., None], 1e-3, texture.pixels))
     found = shape_maps(spoilt, spot, shape=(192, 32))
@@ -198,17 +192,15 @@ def test_freckles_of_the_user_are_filled_and_handed_on():
 
 def test_a_freckle_is_as_dark_as_in_the_photograph():
     """Where the model's are darker; the darkest there is where they are not."""
-    texture = _texture()
-    radius, angle = texture.radius(), texture.angle()
-    middle = np.hypot(radius * np.cos(angle) - 3.5, radius * np.sin(angle))
-    spot, darkness = middle < 0.5, np.array([[0, 0.5, 1.0], [1, 0.5, 0.4]])
+    texture, (radius, angle) = _texture(), texels_of(SIZE)
+    middle = np.hypot(radius * np.cos(angle) - 3.5, radius * np.sin(angle))[..., None]
+    darkness = np.array([[0, 0.5, 1.0], [1, 0.5, 0.4]])
+    known = {"response": 0.5, "darkness": darkness, "shape": (192, 32)}
+    # About a spot as large the surroundings are filled in: the streaks are lost there.
+    flat = np.where(middle < 1, [0.1, 0.14, 0.2], texture.pixels)
     for seen, share in ((0.75, 0.25), (0.45, 0.75), (0.2, 1.0)):
-        dark = np.where(spot, seen, 1.0)[..., None] * texture.pixels
-        known = {"response": 0.5, "darkness": darkness, "shape": (192, 32)}
-        # About a spot as large the surroundings are filled in: the streaks are lost there.
-        flat = texture._replace(pixels=np.where(middle[..., None] < 1, [0.1, 0.14, 0.2], dark))
-        flat = flat._replace(pixels=np.where(spot[..., None], seen, 1.0) * flat.pixels)
-        found = np.asarray(shape_maps(flat, spot, **known).maps.freckles)
+        dark = texture._replace(pixels=np.where(middle < 0.5, seen, 1.0) * flat)
+        found = np.asarray(shape_maps(dark, middle[..., 0] < 0.5, **known).maps.freckles)
         assert found.max() == pytest.approx(share, abs=0.02)
         assert found.min() == 0
 

@@ -187,16 +187,10 @@ def test_the_table_of_a_search_by_radiative_transfer_errs_less_than_windows_do()
     of the prior.
     """
     maps = average_maps(Eye())
-    base = usual_iris(jnp.mean(maps.stroma_depth))
-    ranges, bands = (
-        scale_ranges(base, maps.replace(freckles=None)),
-        colour_bands(cornea=Eye().cornea),
-    )
-    known, half = (
-        (Eye().aqueous_index, bands, ranges),
-        0.5 * np.sqrt(np.diag(PRIOR_COVARIANCE)).min(),
-    )
+    base, half = usual_iris(jnp.mean(maps.stroma_depth)), 0.5 * np.sqrt(np.diag(PRIOR_COVARIANCE))
+    ranges = scale_ranges(base, maps.replace(freckles=None))
+    known = Eye().aqueous_index, colour_bands(cornea=Eye().cornea), ranges
     made = RadiativeIntegrator(**SEARCHED).prepare(base, *known)
     for z in np.random.default_rng(1).normal(size=(6, len(FREE_NAMES))):
         iris = iris_of_concentrations(parameter_values(z), base)
-        assert solve_response(made, iris, *known).error < half
+        assert solve_response(made, iris, *known).error < half.min()

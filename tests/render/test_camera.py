@@ -29,18 +29,19 @@ def seen():
         camera = Camera(polar, 0.3, distance, 26.0, SIZE)
         return tuple(f(INDEX, Eye(), camera) for f in SEEN)
 
-    def of(x64):
+    found = {}
+    for x64 in (True, False):
         with jax.enable_x64(x64):
             every = jax.tree.map(np.asarray, jax.jit(jax.vmap(look))(*np.array(cameras).T))
-        return {at: jax.tree.map(lambda x, k=k: x[k], every) for k, at in enumerate(cameras)}
-
-    return {x64: of(x64) for x64 in (True, False)}
+        for k, at in enumerate(cameras):
+            found[x64, *at] = jax.tree.map(lambda x, k=k: x[k], every)
+    return found
 
 
 @pytest.mark.parametrize("distance", DISTANCES)
 def test_single_precision_sees_what_double_does(seen, distance):
     for polar in POLARS:
-        (sees, *fine), (also, *coarse) = (seen[x64][distance, polar] for x64 in (True, False))
+        (sees, *fine), (also, *coarse) = (seen[x64, distance, polar] for x64 in (True, False))
         assert sees.any()
         # A pixel whose line grazes an edge may fall to either side of it.
         assert (sees != also).sum() <= 1, polar
@@ -57,7 +58,7 @@ def test_single_precision_sees_what_double_does(seen, distance):
 
 def test_a_far_camera_is_an_orthographic_one(seen):
     """At 100 m lines of sight are parallel: a pixel's place is where it aims."""
-    _, iris, _, mirror = seen[True][1e5, 0.0]
+    _, iris, _, mirror = seen[True, 1e5, 0.0]
     (w, h), pitch = SIZE, 26.0 / SIZE[0]
     x = (INDEX % w + 0.5 - w / 2) * pitch
     y = -(INDEX // w + 0.5 - h / 2) * pitch

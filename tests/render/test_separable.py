@@ -35,8 +35,7 @@ def shown(response, *scales):
 def test_uniform_iris(level):
     iris, solver = ij.Iris.of_level(level), ij.IlitExact(12)
     response = tabulated(Separable(solver=solver), iris, spectral_bands(X, "E"), Scales())
-    found = np.asarray(shown(response))
-    true = np.asarray(ij.brdf(iris, X, cos_exit=EXITS, solver=solver).values)
+    found, true = shown(response), brdf(iris, X, EXITS)
     assert float(response.error) < 1e-3
     # The error is measured at a few exits; these are others.
     np.testing.assert_allclose(found, true, atol=2 * float(response.error) * true.max())
@@ -92,12 +91,9 @@ def test_error_tells_a_table_too_coarse():
 
 
 def test_maps_become_scales():
-    maps = IrisMaps(
-        abl_depth=np.full((4, 3), 0.1135),
-        stroma_depth=np.full((4, 3), 0.571),
-        freckles=np.eye(4, 3),
-        eumelanin=np.full((4, 3), 1.5),
-    )
+    even = {"abl_depth": 0.1135, "stroma_depth": 0.571, "eumelanin": 1.5}
+    even = {name: np.full((4, 3), value) for name, value in even.items()}
+    maps = IrisMaps(**even, freckles=np.eye(4, 3))
     scales = Scales.of(maps, LIGHT)
     # Twice the ABL, and twelve times its melanin where there is a freckle.
     np.testing.assert_allclose(scales.abl, 2 * (1 + 11 * np.eye(4, 3)))
