@@ -96,6 +96,33 @@ def test_every_public_name_is_there():
         assert [name for name in package.__all__ if not hasattr(package, name)] == [], stub
 
 
+def _offered(package):
+    """Return the names that a package imports from its modules, in its stub if it has one."""
+    stub = package / "__init__.pyi"
+    source = stub if stub.is_file() else package / "__init__.py"
+    body = ast.parse(source.read_text(encoding="utf-8")).body
+    found = [n for n in body if isinstance(n, ast.ImportFrom)]
+    own = [n for n in found if n.module and (n.level or n.module.startswith("irisjax."))]
+    return {alias.asname or alias.name for n in own for alias in n.names}
+
+
+def test_every_public_name_has_an_entry_and_no_other():
+    """On the pages of docs/api."""
+    top = _offered(ROOT / "irisjax")
+    public = set(top)
+    for package in (p for p in (ROOT / "irisjax").iterdir() if (p / "__init__.py").is_file()):
+        if package.name not in ("cli", "numerics"):
+            public |= {f"{package.name}.{name}" for name in _offered(package) - top}
+    pages = "\n".join(
+        p.read_text(encoding="utf-8") for p in sorted((ROOT / "docs" / "api").glob("*.md"))
+    )
+    entries = re.findall(r"^::: irisjax\.(\S+)", pages, flags=re.M)
+    assert len(entries) == len(set(entries)), "an object has two entries"
+    assert set(entries) == public
+    overview = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    assert [name for name in sorted(top) if f"`{name}`" not in overview] == []
+
+
 # Modules whose distribution has another name.
 _DISTRIBUTIONS = {
     "PIL": "pillow",

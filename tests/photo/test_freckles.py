@@ -37,8 +37,7 @@ def test_brown_spots_are_found_and_neither_crypts_nor_the_collarette(ring):
     crypt = 0.3 * BLUE
     spots = [(3.5, 1.0, 0.3, BROWN), (-1.0, -3.9, 0.9, BROWN), (-3.6, 1.0, 0.5, crypt)]
     found = find_freckles(_iris(spots, ring=ring))
-    assert _at(found, 3.5, 1.0) and _at(found, -1.0, -3.9)
-    assert not _at(found, -3.6, 1.0)
+    assert _at(found, 3.5, 1.0) and _at(found, -1.0, -3.9) and not _at(found, -3.6, 1.0)
     assert ndimage.label(found)[1] == 2
 
 

@@ -165,17 +165,14 @@ def test_without_a_highlight_light_comes_from_all_round():
 
 def test_the_limbus_shades_the_side_of_the_lamp():
     """A lamp low on the right leaves the right rim dark; light from all round fills the shadow."""
-    eye, size = Eye(cornea=Cornea(posterior=None)), 128
-    radius, _ = texels_of(size)
+    eye, (radius, angle) = Eye(cornea=Cornea(posterior=None)), texels_of(128)
     valid = (radius > 2.0) & (radius < 5.2)
-    texture = Unrefracted(np.ones((size, size, 3), np.float32), valid, 2.0, 5.5)
-    tables = Illumination.build(eye, caustics=False, size=33)
-    lamp = Lights.distant([0.9], [0.0], [np.pi])
-    shade = find_shade(texture, lamp, 0.0, eye, tables) & texture.valid
-    right = np.cos(texture.angle()) > 0.9
-    outer, inner = radius > 4.9, radius < 3.5
-    assert shade[right & outer & texture.valid].mean() > 0.9
-    assert not shade[right & inner].any()
+    texture = Unrefracted(np.ones((128, 128, 3), np.float32), valid, 2.0, 5.5)
+    lamp, tables = Lights.distant(0.9, 0.0), Illumination.build(eye, caustics=False, size=33)
+    shade, filled = (find_shade(texture, lamp, r, eye, tables) & valid for r in (0.0, 20.0))
+    right, left = np.cos(angle) > 0.9, np.cos(angle) < -0.9
+    assert shade[right & valid & (radius > 4.9)].mean() > 0.9
+    assert not shade[right & (radius < 3.5)].any()
     # Opposite it fades more slowly, where the cornea is steep.
-    assert shade[right].sum() > 1.5 * shade[np.cos(texture.angle()) < -0.9].sum()
-    assert not (find_shade(texture, lamp, 20.0, eye, tables) & texture.valid & (radius < 5)).any()
+    assert shade[right].sum() > 1.5 * shade[left].sum()
+    assert not filled[radius < 5].any()

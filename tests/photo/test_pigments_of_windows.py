@@ -66,17 +66,16 @@ def _cost(z, windows):
 
 
 def test_least_squares_fits_what_the_model_made(windows, fit):
-    found = fit
-    assert found.converged
-    assert found.rms.max() < RING.light  # by which a ring may be off
-    assert tuple(found.values) == FREE_NAMES
-    assert {*FREE_NAMES, "start", "turn", "steps", "log_density"} == set(found.log[0])
-    ended = [row["log_density"] for row in found.log if row["turn"] == found.log[-1]["turn"]]
-    assert max(ended) == pytest.approx(-_cost(found.z, windows))
-    assert _cost(found.z, windows) <= _cost(TRUE, windows) + 1e-6
+    assert fit.converged
+    assert fit.rms.max() < RING.light  # by which a ring may be off
+    assert tuple(fit.values) == FREE_NAMES
+    assert {*FREE_NAMES, "start", "turn", "steps", "log_density"} == set(fit.log[0])
+    ended = [row["log_density"] for row in fit.log if row["turn"] == fit.log[-1]["turn"]]
+    cost = _cost(fit.z, windows)
+    assert max(ended) == pytest.approx(-cost)
+    assert cost <= _cost(TRUE, windows) + 1e-6
     # The prior pulls by less than what is not known.
-    off = (found.z - TRUE) / np.sqrt(np.diag(found.covariance))
-    assert abs(off).max() < 3
+    assert abs((fit.z - TRUE) / np.sqrt(np.diag(fit.covariance))).max() < 3
 
 
 def test_the_simplex_goes_down_stage_by_stage(windows):

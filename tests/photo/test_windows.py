@@ -71,8 +71,7 @@ def test_the_iris_alone_is_a_disc_within_the_limbus(bare):
     row, column = np.indices(SHAPE)
     away = np.hypot(row - 44.5, column - 44.5) * 13 / 90
     for seen in (alone(), bare[2]):
-        assert seen[(away > 2.6) & (away < 4)].all()
-        assert not seen[away > 6].any()
+        assert seen[(away > 2.6) & (away < 4)].all() and not seen[away > 6].any()
 
 
 @pytest.fixture(scope="module")
@@ -98,11 +97,9 @@ def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels(lit):
 
 
 def test_thickness_brightens_and_freckles_darken(lit):
-    found = lit
-    assert found.thickness_response(BASE) > 0
-    darkness = found.freckle_response(BASE, np.array([0.0, 0.1, 0.5, 1.0]))
-    assert darkness[0] == 1
-    assert (np.diff(darkness) < 0).all()
+    assert lit.thickness_response(BASE) > 0
+    darkness = lit.freckle_response(BASE, np.array([0.0, 0.1, 0.5, 1.0]))
+    assert darkness[0] == 1 and (np.diff(darkness) < 0).all()
 
 
 @pytest.mark.slow
@@ -134,8 +131,7 @@ def test_hidden_pixels_do_not_count():
     hidden = np.zeros(SHAPE, bool)
     hidden[:, : SHAPE[1] // 2] = True
     whole, part = chosen(picture), chosen(np.where(hidden[..., None], 50.0, picture), ~hidden)
-    assert whole.present.all()
-    assert 0.3 < part.present.mean() < 0.7
+    assert whole.present.all() and 0.3 < part.present.mean() < 0.7
     assert part.colour.max() < 0.2
     with pytest.raises(ValueError, match="only 0 windows of the iris are free"):
         chosen(picture, False)

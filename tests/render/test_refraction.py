@@ -11,17 +11,10 @@ import pytest
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.cli.render import missing_light_warning
 from irisjax.optics.conicoid import Conicoid
+from irisjax.render import refraction
 from irisjax.render.illumination import Illumination, reflects_inside, trace_flux
 from irisjax.render.lights import Lights
-from irisjax.render.refraction import (
-    UNIQUE_POLAR,
-    RefractionFunction,
-    cornea_point,
-    find_arrival,
-    limbus_window,
-    refract_into_chamber,
-    refract_to_iris,
-)
+from irisjax.render.refraction import UNIQUE_POLAR, RefractionFunction, find_arrival, limbus_window
 from irisjax.render.scene import Scene
 from irisjax.tissue.iris import Iris
 from render.tracing import disc, soft_edge, towards, trace
@@ -46,8 +39,8 @@ def _search(eye, targets, light):
 @jax.jit
 def _entered(eye, k, light):
     """Rays that enter at points (rays, 2) of the cornea: in the chamber, and where they land."""
-    rays = cornea_point(eye.cornea, k), jnp.broadcast_to(-light, (len(k), 3))
-    return refract_into_chamber(eye, *rays), refract_to_iris(eye, *rays)
+    rays = refraction.cornea_point(eye.cornea, k), jnp.broadcast_to(-light, (len(k), 3))
+    return refraction.refract_into_chamber(eye, *rays), refraction.refract_to_iris(eye, *rays)
 
 
 @pytest.fixture(scope="module")
@@ -202,10 +195,8 @@ def test_the_rim_is_as_bright_as_its_surroundings(illumination):
 def test_light_from_behind_fades_out(illumination):
     without = Illumination(illumination.flux[:53], illumination.extent, UNIQUE_POLAR)
     for tables, largest in ((without, 1.40), (illumination, 2.25)):
-        at = [
-            float(jnp.abs(_at(tables, jnp.zeros(2), jnp.asarray(towards(p)))).max())
-            for p in (largest, largest + 0.025, largest + 0.051, 3.1)
-        ]
+        lights = map(towards, (largest, largest + 0.025, largest + 0.051, 3.1))
+        at = [float(jnp.abs(_at(tables, jnp.zeros(2), d)).max()) for d in lights]
         assert at[0] >= at[1] >= at[2] == at[3] == 0
 
 
