@@ -200,15 +200,9 @@ def test_solvers_derivatives_and_photons_on_a_mesh(cases, count):
     """The script prints the largest difference of each case by its name, or an error as text."""
     flags = "--xla_force_host_platform_device_count=4 --xla_backend_optimization_level=0"
     environment = {**os.environ, "XLA_FLAGS": flags, "JAX_PLATFORMS": "cpu", "JAX_ENABLE_X64": "1"}
-    done = subprocess.run(
-        [sys.executable, str(_ON_FOUR), *cases],
-        env=environment,
-        cwd=Path(ij.__file__).parent.parent,
-        capture_output=True,
-        text=True,
-        timeout=550,
-        check=False,
-    )
+    place = {"env": environment, "cwd": Path(ij.__file__).parent.parent, "timeout": 550}
+    command = [sys.executable, str(_ON_FOUR), *cases]
+    done = subprocess.run(command, **place, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     assert len(found) == count
