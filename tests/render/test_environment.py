@@ -210,7 +210,8 @@ def test_window():
 def test_errors():
     for radiance, said in (
         (np.zeros((2, 3)), r"shape \(rows, columns, 3\), got \(2, 3\)"),
-        (np.array([[[1, np.nan, 0], [-1, 2, 3]]]), "negative or not finite in 2 texels"),
+        (np.array([[[1, np.nan, 0], [1, 2, 3]]]), "negative or not finite in 1 texels"),
+        (np.full((1, 2, 3), -1.0), "negative or not finite in 2 texels"),
     ):
         with pytest.raises(ValueError, match=said):
             Environment(radiance)
