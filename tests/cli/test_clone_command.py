@@ -180,10 +180,14 @@ WRONG = {
     "grey.png --pupil 9,9,nan,4,0": "the semi-axes must be A >= B > 0",
     "grey.png --stop-after lunch": "--stop-after: unknown 'lunch'; known: outlines, ",
     "grey.png --media water": "--media: unknown 'water'; known: cornea-aqueous, f09",
-    "grey.png --media f09 --process depth-resolved": "no table for the refractive indices of",
+    "grey.png --media f09 --process depth-resolved": (
+        "radiative transfer has no table for the refractive indices of media f09"
+    ),
     "grey.png --method luck": "--method: unknown 'luck'; known: least-squares, simplex",
     "grey.png --process lb06": "--process: unknown 'lb06'",
-    "grey.png --process ilit-2006 --integrator single-scattering": "names the process too; give no",
+    "grey.png --process ilit-2006 --integrator single-scattering": (
+        "--integrator names the process too; give no --process"
+    ),
     "grey.png --focal-px 0": "--focal-px: 0 is outside [10, 1e+06]",
     "grey.png --focal-px long": "--focal-px: 'long' is not a number",
     "grey.png --iris-depth 9": "--iris-depth: 9 is outside [2.5, 8]",

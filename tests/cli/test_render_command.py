@@ -155,7 +155,9 @@ OPTIONS = {
     "--preset blue --veins many": "--veins: unknown 'many'; known: clear, usual, bloodshot",
     "scene.toml --lids": "lids need an eye with a cornea and a sclera",
     "--preset blue --limbal-ring 2": "--limbal-ring: 2 is outside [0, 1]",
-    "--preset pink": "--preset: unknown 'pink'; known: blue, grey, green, hazel, amber, brown,",
+    "--preset pink": (
+        "--preset: unknown 'pink'; known: blue, grey, green, hazel, amber, brown, dark-brown"
+    ),
     "missing.toml": "missing.toml: No such file",
     ".": ".: Is a directory",
     "scene.toml -o eye.jpg": "eye.jpg: must end in .png or .exr",
@@ -163,7 +165,9 @@ OPTIONS = {
     "scene.toml --tone film": "--tone: unknown 'film'; known: none, agx",
     "scene.toml --tone agx -o eye.exr": "--tone is for PNG and movies",
     "scene.toml --exposure bright": "or write white",
-    "scene.toml --exposure white --spectral 400:700:100 -o a.exr": "--exposure white: not with",
+    "scene.toml --exposure white --spectral 400:700:100 -o a.exr": (
+        "--exposure white: not with --spectral"
+    ),
     "scene.toml --exposure white": "the camera sees no white of the eye",
     "scene.toml --bits 12": "--bits 12 must be 8 or 16",
     "scene.toml --size 8": "--size '8': write WIDTHxHEIGHT",

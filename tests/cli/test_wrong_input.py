@@ -41,7 +41,7 @@ WRONG = {
     "--instrument radiance --illuminant moon": "unknown illuminant 'moon'",
     "--instrument radiance --cos-incidence diffuse": "diffuse",
     "--cos-incidence 1.1": "--cos-incidence: 1.1 is outside [0, 1]",
-    "--cos-incidence difuse": "'difuse' is not a number in [0, 1]; or write diffuse",
+    "--cos-incidence difuse": "--cos-incidence: 'difuse' is not a number in [0, 1]; or write diffuse",
     "--cos-incidence 1 --incidence-deg 0": "not both",
     "-o missing/file.csv": "missing: no such folder",
     "-o .": ".: is a folder",

@@ -111,7 +111,10 @@ def test_scene_files_grow_or_state_it():
     np.testing.assert_allclose(again.eye.pupil_harmonics, grown.eye.pupil_harmonics, rtol=1e-6)
     assert parse_scene(text.format("pupil_irregularity = 0")).scene().eye.pupil_harmonics is None
     for wrong, said in (
-        ("pupil_irregularity = 0.2", r"\.pupil_irregularity = .* must be a number in \[0, 0\.03"),
+        (
+            "pupil_irregularity = 0.2",
+            r"eye\.pupil_irregularity = .* must be a number in \[0, 0\.03",
+        ),
         ("pupil_centre = [3.0, 0.0]", r"eye\.pupil_centre = .* must be"),
         ("pupil_harmonics = [[0.01]]", r"eye\.pupil_harmonics = .* must be pairs \[cosine, sine\]"),
         ("pupil_harmonics = [[0.2, 0]]", r"eye\.pupil_harmonics = .* must be a number in \[-0\.05"),

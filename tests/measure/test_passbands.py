@@ -101,7 +101,7 @@ NARROW = functools.partial(ij.Passbands.slit, GRID, 5.0)
         (lambda: ij.Spectrophotometer(GRID[:2], bands=NARROW()), "2 values for 7"),
         (
             lambda: ij.Spectrophotometer(GRID + 30, bands=NARROW()),
-            "near 470 nm: the next is at 440",
+            "no band is centred near 470 nm: the next is at 440 nm",
         ),
         (lambda: NARROW("square"), "unknown shape 'square'; known: gaussian"),
         (lambda: ij.Passbands.of(GRID, -np.ones((7, 1))), "must be zero or more"),
@@ -128,8 +128,14 @@ def test_bands_from_files(tmp_path):
     assert bands("nm,R,G,B\n500,0,0,1\n550,0,1,0\n600,1,0,0\n").centres.size == 3
     for text, said in (
         ("nm,red,green\n500,0,1\n550,,3\n600,2,1\n", "line 3: no finite number for 'red'"),
-        ("nm,R %,sd\n500,2,1\n550,2,1\n", r"'R %' \(reflectance\) is of a spectrum, not of bands"),
-        ("centre,sensitivity\n500,1\n550,1\n", "has centres of bands and no widths; need rows"),
+        (
+            "nm,R %,sd\n500,2,1\n550,2,1\n",
+            r"column 'R %' \(reflectance\) is of a spectrum, not of bands",
+        ),
+        (
+            "centre,sensitivity\n500,1\n550,1\n",
+            "the file has centres of bands and no widths; need rows",
+        ),
         ("nm,fwhm\n500,10\n550,10\n", "widths of bands and no centres"),
         ("nm,infrared\n700,1\n900,1\n", "50 % of the band 'infrared' is outside 350 to 800 nm"),
     ):

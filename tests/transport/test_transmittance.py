@@ -16,7 +16,7 @@ from irisjax.transport.defaults import quickest
 WAVES = np.array([450.0, 550.0, 650.0])
 PALE = ij.Iris.of_level("low")
 SOLVERS = {
-    "ilit": ij.IlitExact(16, process=ij.ILIT_CORRECTED),
+    "ilit": ij.IlitExact(16),
     "radiative": ij.RadiativeExact(28),
     "doubling": ij.AddingDoubling(20, 8),
     "polarised": ij.RadiativeExact(12, process=ij.POLARISED),
@@ -182,7 +182,7 @@ def test_photons(name):
 
 @pytest.mark.parametrize(
     "solver",
-    [ij.IlitExact(8, process=ij.ILIT_CORRECTED), ij.RadiativeExact(8, 4)],
+    [ij.IlitExact(8), ij.RadiativeExact(8, 4)],
     ids=("ilit", "radiative"),
 )
 def test_derivatives(solver):
