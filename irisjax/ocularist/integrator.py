@@ -172,9 +172,10 @@ def look_up(texture: Array, x: Array, y: Array, reach: Scalar) -> Array:
     return bilinear(texture, *_texel(x, y, reach, texture.shape[-2:]))
 
 
-def texel_places(size: int, reach: Scalar, dtype: DTypeLike) -> list[Array]:
+def texel_places(size: int, reach: Scalar, dtype: DTypeLike) -> tuple[Array, Array]:
     """x and y (mm) of the texels of such a picture, (size, size) each, row 0 at the top."""
-    return jnp.broadcast_arrays(*(v * reach for v in texels(size, dtype)))
+    x, y = jnp.broadcast_arrays(*(v * reach for v in texels(size, dtype)))
+    return x, y
 
 
 def _kept(steps: dict[Any, Any]) -> Callable[..., Any]:

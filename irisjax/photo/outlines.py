@@ -508,18 +508,17 @@ def _ceiling(picture, limbus: Ellipse) -> float:
 
 
 def _darken(picture, clipped, ceiling: float, limbus_radius: float):
-    """A picture without its highlights, and which of its pixels hide what is behind them.
+    """A picture without its highlights, and its saturated pixels but for those that hide nothing.
 
-    Highlights are cut at a ceiling. Narrow ones, as a ring lamp's, whose inner edge resembles a
-    pupil's, become as bright as what is beside them: in the pupil they hide nothing then; beside
-    the iris they may hide the pupil's rim.
+    Highlights are cut at a ceiling. Narrow ones in the pupil, as a ring lamp's, whose inner edge
+    resembles a pupil's, become as dark as what is beside them.
     """
     half = max(1, round(_NARROW / 2 * limbus_radius))
     beside = ndimage.grey_opening(picture, 2 * half + 1)
     narrow = (picture > ceiling) & (beside < ceiling)
     narrow = ndimage.binary_dilation(narrow, iterations=max(1, half // 2))
     in_pupil = np.logical_and(narrow, beside < 0.3 * ceiling)
-    return np.where(narrow, beside, np.minimum(picture, ceiling)), np.where(in_pupil, 0, clipped)
+    return np.where(in_pupil, beside, np.minimum(picture, ceiling)), np.where(in_pupil, 0, clipped)
 
 
 def _fit_rise(x, brightness, pixel: float) -> tuple[float, float]:
