@@ -42,7 +42,7 @@ def _reflectance(a, tau, albedo, n_water, n_a, n_s, n_ipe):
     bottom, top = sqrt(1 - (n_s / n_a) ** 2), sqrt(1 - (n_water / n_a) ** 2)
 
     def abl(low, v):
-        """By v = √(μ² − low²), in which there is no kink at a critical angle."""
+        """Integrate over v = √(μ² − low²), in which a critical angle makes no kink."""
         mu = sqrt(low * low + v * v)
         f0, f1, t = _fresnel(mu, n_a, n_water), _fresnel(mu, n_a, n_s), exp(-a / mu)
         passes = 2 * v * t / (1 - t * t * f0 * f1)
@@ -78,7 +78,7 @@ def _reflectance(a, tau, albedo, n_water, n_a, n_s, n_ipe):
 
 
 def _integrals(functions, end):
-    """Of several functions, from 0 to the end, over the same nodes of Gauss and Legendre."""
+    """Integrate several functions from 0 to `end` at the same nodes of Gauss and Legendre."""
     cuts = [end * mpf(x) for x in ("0", "0.001", "0.01", "0.03", "0.1", "0.2", "0.5", "1")]
     total = None
     for low, high in itertools.pairwise(cuts):

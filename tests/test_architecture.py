@@ -107,7 +107,7 @@ def _offered(package):
 
 
 def test_every_public_name_has_an_entry_and_no_other():
-    """On the pages of docs/api."""
+    """The pages of docs/api have an entry for each public name."""
     top = _offered(ROOT / "irisjax")
     public = set(top)
     for package in (p for p in (ROOT / "irisjax").iterdir() if (p / "__init__.py").is_file()):

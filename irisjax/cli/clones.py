@@ -59,7 +59,7 @@ def clone_many(
         return folder is not None and (folder / results.summary).exists()
 
     table.begin(results.resume, results.overwrite, is_done)
-    # What draws beside this process stays with it.
+    # A process that draws figures cannot be handed to other workers.
     shared = None if workers.in_other_processes else draw
     pieces = {
         name: (photographs[name], picture, model, results, folders[name], shared)

@@ -21,11 +21,11 @@ from irisjax.anatomy.sclera import sphere, vein_place
 from irisjax.io.images import encode_png, to_steps
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.interpolation import polar_bilinear, smoothstep
-from irisjax.ocularist.integrator import texel_places
 from irisjax.optics.conicoid import from_parts
 from irisjax.render.project import IrisPixels
 from irisjax.render.scene import Scene
 from irisjax.render.shading import camera_share, facing_at, relief_field, sample_textures
+from irisjax.tissue.maps import texel_places
 
 if TYPE_CHECKING:
     from trimesh import Trimesh

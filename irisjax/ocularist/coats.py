@@ -1,13 +1,11 @@
 """Coats of paint on cones, and their effect on light  [L03 Section 3.3]."""
 
 import itertools
-from collections.abc import Sequence
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
@@ -126,12 +124,6 @@ def profile_of(eye: Eye) -> Cones:
     radius = jnp.stack([eye.pupil_radius, eye.iris_radius])
     slope = 0.0 if eye.iris_slope is None else eye.iris_slope
     return Cones(eye.iris_depth + slope * radius, radius)
-
-
-def texels(size: int, dtype: DTypeLike = float) -> Sequence[np.ndarray]:
-    """x and y, in outer radii of the iris, of the columns and rows of a square picture of it."""
-    line = ((2 * np.arange(size) + 1) / size - 1).astype(dtype)
-    return np.meshgrid(line, -line, sparse=True)
 
 
 def over(behind: _Values, opacity: _Values, paint: _Values, light: _Values) -> Any:

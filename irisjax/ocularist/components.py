@@ -16,7 +16,6 @@ import numpy as np
 from irisjax._types import PRNGKey
 from irisjax.numerics.checks import Range, check_known, check_range, check_whole
 from irisjax.numerics.streams import words_of
-from irisjax.ocularist.coats import texels
 from irisjax.ocularist.strokes import (
     Annulus,
     Dots,
@@ -28,6 +27,7 @@ from irisjax.ocularist.strokes import (
     smooth_step,
 )
 from irisjax.render.environment import LUMINANCE
+from irisjax.tissue.maps import texels
 
 PARAMETER_RANGES = {
     "inner": Range(0, 1, meaning="relative radius from which strokes or dots cover the iris"),

@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
@@ -21,7 +20,7 @@ from irisjax.numerics.checks import is_known
 from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import bilinear, multilinear, smoothstep
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.ocularist.coats import Coat, Painting, over, texels, through
+from irisjax.ocularist.coats import Coat, Painting, over, through
 from irisjax.ocularist.cones import Cones
 from irisjax.optics.conicoid import Parts, from_parts, parts
 from irisjax.render.bands import Bands
@@ -31,7 +30,7 @@ from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
 from irisjax.render.shading import Facing, IrisModel, flux_at, incident_flux
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.maps import Scales
+from irisjax.tissue.maps import Scales, texel_places
 
 NEAR = 0.03
 """Difference in height (mm) up to which coats are lit alike but for what they take from each other:
@@ -170,12 +169,6 @@ def look_up(texture: Array, x: Array, y: Array, reach: Scalar) -> Array:
     in mm; linear between texels.
     """
     return bilinear(texture, *_texel(x, y, reach, texture.shape[-2:]))
-
-
-def texel_places(size: int, reach: Scalar, dtype: DTypeLike) -> tuple[Array, Array]:
-    """x and y (mm) of the texels of such a picture, (size, size) each, row 0 at the top."""
-    x, y = jnp.broadcast_arrays(*(v * reach for v in texels(size, dtype)))
-    return x, y
 
 
 def _kept(steps: dict[Any, Any]) -> Callable[..., Any]:

@@ -15,9 +15,9 @@ from jaxtyping import Array, Bool, Float, Int
 from irisjax.anatomy.eye import Eye
 from irisjax.measure.colour import lab_of_srgb
 from irisjax.numerics.checks import check_whole
-from irisjax.ocularist.coats import Painting, over, texels, through
+from irisjax.ocularist.coats import Painting, over, through
 from irisjax.ocularist.integrator import look_up
-from irisjax.tissue.maps import cell_centres
+from irisjax.tissue.maps import cell_centres, texels
 
 TEXTURE_SHAPE = (256, 64)
 """Angles and radii of textures by default."""

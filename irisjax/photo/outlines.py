@@ -43,6 +43,7 @@ _FRONTAL = edges.Expected((LIMBUS_FLAT, 0.0), 0.08)
 _CENTRE_SD = 0.07  # standard deviation of the pupil's middle in either direction, limbus radii
 _ROUGH_CENTRE_SD = 0.15  # the same for limbi that are not yet known well
 _NARROW = 0.16  # width of a highlight that is removed from a pupil, limbus radii
+_PUPIL_DARK = 0.3  # brightness below which what is beside a highlight is pupil, in ceilings
 _UPWARDS = 0.05  # its mean, above the limbus's middle
 _WARMER = 0.5  # by how much redder the white of one side may be than that of the other
 
@@ -153,9 +154,9 @@ def find_boundaries(
 
 def find_pupil(photo: Photograph, limbus: FittedEllipse) -> FittedEllipse:
     """Find the pupil within a limbus, which suggests how flat it is if its edges are seen."""
-    pixels, clipped, outline, back = _cut_part(photo, limbus.outline, 1.1, edges.ROUGH)
-    ceiling = _ceiling(pixels.mean(-1), outline)
-    picture, clipped = _darken(pixels.mean(-1), clipped, ceiling, outline.semi_axes[0])
+    part = _cut_part(photo, limbus.outline, 1.1, edges.ROUGH)
+    picture, clipped, ceiling = _without_highlights(part)
+    outline, back = part[2:]
     if not (circles := _dark_rings(picture, outline)):
         a, b = limbus.outline.semi_axes  # in place of a pupil that is not found
         return FittedEllipse(limbus.outline._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
@@ -354,10 +355,9 @@ def _rough_pair(
     """A circle as limbus with the circle within that is most likely the pupil."""
     fit = limbus or FittedEllipse(start, _TRUSTED)
     if pupil is None:
-        pixels, clipped, outline, back = _cut_part(photo, start, 1.1, _PUPIL_RADIUS)
-        picture = pixels.mean(-1)
-        ceiling, radius = _ceiling(picture, outline), outline.semi_axes[0]
-        circles = _dark_rings(_darken(picture, clipped, ceiling, radius)[0], outline)
+        part = _cut_part(photo, start, 1.1, _PUPIL_RADIUS)
+        outline, back = part[2:]
+        circles = _dark_rings(_without_highlights(part)[0], outline)
         a, b = start.semi_axes
         pupil = FittedEllipse(start._replace(semi_axes=(0.4 * a, 0.4 * b)), 0.0)
         if circles:
@@ -501,8 +501,16 @@ def _first_rise(picture, ceiling: float):
     return np.log(np.maximum(picture, 0) + 0.04 * ceiling)
 
 
+def _without_highlights(part):
+    """Apply `_darken` to a part cut out round a limbus; the ceiling comes last."""
+    pixels, clipped, limbus, _ = part
+    picture = pixels.mean(-1)
+    ceiling = _ceiling(picture, limbus)
+    return *_darken(picture, clipped, ceiling, limbus.semi_axes[0]), ceiling
+
+
 def _ceiling(picture, limbus: Ellipse) -> float:
-    """Brightness within a limbus that only highlights exceed."""
+    """Brightness within a limbus that only highlights exceed; white's if none of it is seen."""
     within = picture[limbus.radii(picture.shape) < 0.9]
     return float(1.5 * np.quantile(within, 0.75) + 1e-9) if within.size else 1.0
 
@@ -517,7 +525,7 @@ def _darken(picture, clipped, ceiling: float, limbus_radius: float):
     beside = ndimage.grey_opening(picture, 2 * half + 1)
     narrow = (picture > ceiling) & (beside < ceiling)
     narrow = ndimage.binary_dilation(narrow, iterations=max(1, half // 2))
-    in_pupil = np.logical_and(narrow, beside < 0.3 * ceiling)
+    in_pupil = np.logical_and(narrow, beside < _PUPIL_DARK * ceiling)
     return np.where(in_pupil, beside, np.minimum(picture, ceiling)), np.where(in_pupil, 0, clipped)
 
 

@@ -6,12 +6,14 @@ pupil's edge to the root, with values at cell centres. Another pupil radius stre
 """
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import DTypeLike
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar, optional_field
@@ -154,6 +156,22 @@ def cell_centres(shape: tuple[int, int]) -> tuple[jax.Array, jax.Array]:
     """Return angles (radians) and relative radii of a texture's cells, (angles,) and (radii,)."""
     row, column = (jnp.arange(count, dtype=float) + 0.5 for count in shape)
     return row * (2 * jnp.pi / shape[0]), column / shape[1]
+
+
+def texels(size: int, dtype: DTypeLike = float) -> Sequence[np.ndarray]:
+    """Return x of the columns and y of the rows of a square picture of the iris, relative to half
+    its side; the top row has the largest y.
+    """
+    line = ((2 * np.arange(size) + 1) / size - 1).astype(dtype)
+    return np.meshgrid(line, -line, sparse=True)
+
+
+def texel_places(size: int, reach: Scalar, dtype: DTypeLike) -> tuple[jax.Array, jax.Array]:
+    """Return x and y of the texels of such a picture, (size, size) each, for half a side of
+    `reach` mm.
+    """
+    x, y = jnp.broadcast_arrays(*(v * reach for v in texels(size, dtype)))
+    return x, y
 
 
 def check_pictured(iris: Iris) -> None:

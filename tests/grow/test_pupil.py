@@ -85,7 +85,7 @@ def test_rings_lie_between_pupil_and_root():
 
 
 def test_relief_tilts_by_the_slope_of_its_surface():
-    """Of a height that is a plain function of x and y: its normals are known."""
+    """The height is a plain function of x and y, whose normals are known."""
     angles, radii = 256, 64
     angle = (np.arange(angles) + 0.5) * (2 * np.pi / angles)
     share = np.broadcast_to((np.arange(radii) + 0.5) / radii, (angles, radii)).ravel()

@@ -202,7 +202,7 @@ def test_misfit_is_no_failed_search(problem, measured):
     assert float(found.p_value) < 1e-6
     with pytest.raises(ValueError, match="does not produce these data"):
         fit(stepped, key=KEY, throw=True)
-    # In a compiled program too.
+    # A compiled program raises too.
     blue = ij.spectrum([450.0, 550, 650], [0.05, 0.02, 1e-3])
     stepped = ij.problem(blue, free=["gain"], solver=KubelkaMunk())
     with pytest.raises(RuntimeError, match="does not produce these data"):

@@ -23,7 +23,10 @@ from irisjax.transport.solution import RESULTS
 GRID = ij.wavelengths(400, 700, 20)
 
 
-def stated(noise=None, solver=BeerLambert(), **options):  # noqa: B008
+CLOSED = BeerLambert()
+
+
+def stated(noise=None, solver=CLOSED, **options):
     """A problem by a closed formula, which is enough for noise, or by transport."""
     seen = ij.spectrum(GRID, np.linspace(0.02, 0.01, GRID.size))
     return ij.problem(seen, noise=noise, solver=solver, **options)
@@ -80,8 +83,7 @@ def test_colours_are_those_of_the_colorimeter(quantity):
     ids=["normal", "student", "correlated"],
 )
 def test_likelihood_is_scipys(noise, distribution):
-    problem = stated(noise, free=["melanin_load", "gain", "noise"])
-    z = np.random.default_rng(1).normal(size=3) * 0.3
+    problem, z = stated(noise), np.random.default_rng(1).normal(size=7) * 0.3
     m, factor, likelihood, prior = evaluated(problem, z)
     sd = float(factor) * np.hypot(0.03 * np.asarray(m), 1e-3)
     smooth = 0.05**2 * np.outer(m, m) * np.exp(-0.5 * ((GRID[:, None] - GRID) / 60) ** 2)
@@ -209,8 +211,8 @@ def test_radiative_transfer_reads_as_its_table_does():
 
 
 def test_what_scatters_less_or_more_than_usual_is_read_too():
-    """By the table, as far as it goes: a prior that reaches beyond is computed without it, for the
-    table extrapolates there, and a chain would not know.
+    """The table serves priors within its range. A prior that reaches beyond it is computed without
+    it, since the table would extrapolate and a chain would not know.
     """
     low, scale = ij.Iris.of_level("low"), "scattering_scale"
 

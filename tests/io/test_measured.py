@@ -250,9 +250,7 @@ def table(names, *columns, sep=",", **how):
 
 
 def role(text, said="", *, has_sd=False, **asked):
-    """What each file holds is known by its words; what is said, whether there is an sd, how it is
-    asked.
-    """
+    """Make a case: a file, how it is read, whether an sd is found, and what is said."""
     return text, asked, has_sd, said
 
 

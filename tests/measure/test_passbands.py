@@ -58,7 +58,7 @@ def test_readings_are_means_of_fine_readings():
     slope, off = jax.jit(jax.grad(total))(0.1), 1e-4
     difference = (total(0.1 + off) - total(0.1 - off)) / (2 * off)
     assert float(slope) == pytest.approx(float(difference), rel=1e-5)
-    # Of radiances: the mean of products with the illuminant.
+    # A radiance is the mean of products with the illuminant.
     light = ij.measure.illuminant_power("A", x) * float(ij.Media().inward(1.0)[0]) / np.pi
     found = ij.radiance(LOW, GRID, solver=FEW, illuminant="A", bands=15.0)
     np.testing.assert_allclose(found.values, bands.weights @ (light * each.values), rtol=1e-12)

@@ -116,6 +116,7 @@ def test_map_values(drawn):
         a = np.asarray(getattr(drawn, name))
         assert a.shape == (1024, 512) and np.isfinite(a).all() and a.min() >= 0
         assert 0 < a.max() <= most
+    assert drawn.depth.max() < 0.12
     one, again, other = (coarse_veins(key=k) for k in (4, 4, 5))
     assert all(
         np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (one, again)), strict=True)
