@@ -237,7 +237,8 @@ def _read(path: Path) -> _Program:
 @functools.cache
 def _load_lapack() -> None:
     """Have JAX load LAPACK, as it does when it lowers a call, but not for a program of a file."""
-    jax.jit(jax.numpy.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), np.float32))
+    lapack = jax.jit(jax.numpy.linalg.cholesky)  # noqa: TID251 - never run
+    lapack.lower(jax.ShapeDtypeStruct((1, 1), np.float32))
 
 
 def _compiler_options() -> dict[str, Any] | None:

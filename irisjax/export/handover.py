@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import block_diag
+from jax.scipy.linalg import block_diag  # noqa: TID251 - no LAPACK
 
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.media import TEAR

@@ -164,8 +164,9 @@ def agx_encode(linear: Float[Array | np.ndarray, "*s 3"]) -> Float[Array, "*s 3"
     """
     linear = jnp.asarray(linear)
     below, above = 10.0, 6.5
-    mixing = 0.8 * jnp.eye(3) + 0.2 * jnp.asarray([0.21200536, 0.39218251, 0.39581214])
-    mixing = mixing.astype(linear.dtype)
+    mixing = 0.8 * np.eye(3) + 0.2 * np.array([0.21200536, 0.39218251, 0.39581214])
+    unmixing = np.linalg.inv(mixing)
+    mixing, unmixing = (jnp.asarray(m, linear.dtype) for m in (mixing, unmixing))
     least = 0.18 * 2.0**-below
     stops = jnp.log2(jnp.maximum(linear @ mixing.T, least) / least)
     pivot = below / (below + above)
@@ -178,7 +179,7 @@ def agx_encode(linear: Float[Array | np.ndarray, "*s 3"]) -> Float[Array, "*s 3"
 
     toe, shoulder = jnp.maximum(-offset, 0.0), jnp.maximum(offset, 0.0)
     shown = 0.5 + bent(shoulder, 1 - pivot, 3.25) - bent(toe, pivot, 3.0)
-    return jnp.clip(shown @ jnp.linalg.inv(mixing).T, 0, 1)
+    return jnp.clip(shown @ unmixing.T, 0, 1)
 
 
 @eqx.filter_jit

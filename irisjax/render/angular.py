@@ -232,7 +232,7 @@ def choose_mixtures(
     weighted = light * weights
     moments = jnp.einsum("tkp,tlp->kl", weighted, weighted)
     moments = moments / jnp.maximum(jnp.trace(moments), jnp.finfo(light.dtype).tiny)
-    largest = jnp.linalg.eigh(moments)[1][:, -_MIXTURES:]
+    largest = jnp.linalg.eigh(moments)[1][:, -_MIXTURES:]  # noqa: TID251 - of one matrix
     return largest * weights, largest / weights
 
 

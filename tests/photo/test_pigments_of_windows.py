@@ -131,6 +131,13 @@ def test_the_posterior_is_likelihood_times_prior(windows):
     np.testing.assert_allclose(own, [direct(z) for z in places], atol=1e-3)
 
 
+def test_many_densities_at_a_time_wait_for_no_thread_of_each_other(windows):
+    """LAPACK's batches wait for the threads that the other program, or they themselves, occupy."""
+    many = jax.vmap(lambda z: log_posterior(z, windows, BASE))
+    text = jax.jit(many).lower(jnp.zeros((96, len(FREE_NAMES)))).as_text()
+    assert "lapack" not in text
+
+
 @pytest.mark.parametrize("burnt_out", [False, True])
 def test_mirror_images_tell_the_exposure_or_how_much_it_is_at_least(windows, fit, burnt_out):
     exposure = fit.values["exposure"]
