@@ -69,7 +69,6 @@ PIGMENT_UNITS["hemoglobin"] = "mmol/l"
 # brightness: simulated photographs stay below 0.16, with lids and lashes or without.
 _WINDOWS_OFF = 0.25
 _UNUSUAL = 3.0  # standard deviations of its prior beyond which a parameter is doubtful
-_BALANCE = 0.3  # most of the logarithm of a channel's exposure beside that of the others
 _STEPS = 60, 50  # most of a turn of least squares, and of a stage of the simplex
 _TURNS = 3  # of least squares under fixed covariances, and of these
 _CLOSE = 1e-3  # tolerance of the search, in standard deviations of the prior
@@ -223,7 +222,7 @@ def fit_pigments(windows: Windows, base: Iris) -> PigmentFit:
 
 def exposures_for(fit: PigmentFit, windows: Windows, base: Iris) -> Float[np.ndarray, "3"]:
     """Return the exposures of the channels with which windows, of other maps than those of the fit,
-    are on average as bright as the photograph's.
+    are on average as bright as the photograph's, in the fit's white balance.
     """
     return np.asarray(_rms_and_exposures(jnp.asarray(fit.z), windows, base)[1])
 
@@ -485,17 +484,15 @@ def _numbers(row: dict[str, Any]) -> dict[str, float]:
 
 @eqx.filter_jit
 def _rms_and_exposures(z, windows, base):
-    """Relative differences per channel, and the exposures that make up for their means: within
-    `_BALANCE` of their mean by brightness, for a channel that is dark in a saturated iris says
-    nothing of its exposure.
+    """Relative differences per channel, and exposures as bright as the photograph. Channels keep
+    the balance of the fit: a tint of the iris that the model does not follow is not one of the
+    light, which would show on the white of the eye.
     """
     values, present = parameter_values(z), windows.present[:, None]
     log_ratios, _ = _log_ratios(values, windows, base)
     brightness = jnp.maximum(windows.colour.mean(0, where=present), 0.0)
-    factors = log_ratios.mean(0, where=present)
-    common = (factors * brightness).sum() / brightness.sum()
-    factors = jnp.clip(factors, common - _BALANCE, common + _BALANCE)
-    exposures = _exposures(values) * jnp.exp(factors)
+    factor = (log_ratios.mean(0, where=present) * brightness).sum() / brightness.sum()
+    exposures = _exposures(values) * jnp.exp(factor)
     return jnp.sqrt((log_ratios**2).mean(0, where=present)), exposures
 
 
