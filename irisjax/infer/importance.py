@@ -139,8 +139,10 @@ def complete(
             mean[i] = weights @ nodes
             # No narrower than the nodes are apart, between which the peak may lie.
             covariance[i, i] = weights @ (nodes - mean[i]) ** 2 + (nodes[1] - nodes[0]) ** 2
-    # Rounding must not make it indefinite.
-    return mean, covariance + 1e-10 * np.eye(mean.size)
+    # Rounding, in single precision above all, must not make it indefinite.
+    covariance = 0.5 * (covariance + covariance.T)
+    least = float(np.linalg.eigvalsh(covariance)[0])
+    return mean, covariance + max(1e-10, -2 * least) * np.eye(mean.size)
 
 
 class _InitialProposal:

@@ -307,7 +307,7 @@ def sample_pigments(
     """
     model = windows, base
     middle, slope = map(np.asarray, _totals_and_slope(jnp.asarray(best.z)))
-    covariance = slope @ best.covariance @ slope.T + 1e-9 * np.eye(len(best.z))
+    covariance = slope @ best.covariance @ slope.T
     with ThreadPoolExecutor(2) as pool:  # one program is too small for two cores
 
         def density(x: np.ndarray) -> np.ndarray:

@@ -42,6 +42,15 @@ def test_samples_have_the_moments_of_the_posterior(log_p, mean, variance):
     np.testing.assert_allclose(z.var(axis=0), variance, rtol=5 * np.sqrt(2 / count))
 
 
+def test_a_covariance_that_rounding_made_indefinite():
+    """A fit in single precision, of two coordinates that all but depend on each other."""
+    covariance = np.array([[1.0, 1.0 + 3e-6], [1.0 - 2e-6, 1.0]])
+    start = Start(np.array([0.4, 0.9]), covariance)
+    found = importance_sample(_ridge, start, np.random.RandomState(0))
+    assert found.enough
+    assert abs(found.log_integral) < 4 * found.error
+
+
 def test_the_integral_of_a_density_that_the_first_round_resembles():
     """The first round draws from two proposals, half and half."""
 
