@@ -2,12 +2,14 @@
 
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import ndimage
 from skimage import measure, morphology
 
 from irisjax.photo.texture import fill_holes
 
 _TURNS = 48  # places round the iris from which a hidden region may be filled
 _BORDER = 6  # cells about a region in which the places are compared
+_FADES = 0.04  # of the iris's width, in which differences fade under a lid to a third
 
 
 def fill_by_texture(
@@ -16,7 +18,8 @@ def fill_by_texture(
     """Fill hidden cells of polar maps; the others stay exact.
 
     Each region is filled from where the iris, turned by some angle, is seen and differs least along
-    the region's border. What still differs there is spread over the region smoothly.
+    the region's border. What still differs there is spread smoothly over a region with a border all
+    round. Under a lid, whose shade alone may be the difference, it fades away from the border.
     """
     if not hidden.any() or hidden.all():
         return layers
@@ -40,7 +43,11 @@ def fill_by_texture(
         turn = min(shown, key=dissimilarity)
         turned = smooth[np.ix_((rows - turn) % len(hidden), columns)]
         if not region.all():
-            turned = turned + fill_holes(smooth[box] - turned, region)
+            off = fill_holes(smooth[box] - turned, region)
+            if region[:, columns == hidden.shape[1] - 1].any():
+                depth = ndimage.distance_transform_edt(region) / hidden.shape[1]
+                off = off * np.exp(-depth / _FADES)[..., None]
+            turned = turned + off
         filled[box] = np.where(region[..., None], turned, filled[box])
     return np.moveaxis(filled, -1, 0)
 

@@ -33,6 +33,18 @@ def test_a_filled_region_is_as_rough_as_the_rest_and_as_bright_as_its_border():
     assert filled[hidden].mean() == pytest.approx(0, abs=0.5)
 
 
+def test_the_shade_beside_a_lid_does_not_reach_far_under_it():
+    """A lid hides the outer half of a third of the iris, and shades what lies next to it."""
+    layers = np.random.default_rng(2).normal(size=(1, ANGLES, RADII))
+    hidden, shaded = np.zeros((2, ANGLES, RADII), bool)
+    hidden[40:100, 20:] = True
+    shaded[34:106, 14:] = True
+    layers[0, shaded] -= 5
+    filled = fill_by_texture(np.where(hidden, 0.0, layers), hidden)[0]
+    assert filled[46:94, 26:].mean() == pytest.approx(0, abs=0.5)
+    assert filled[46:94, 20].mean() < -1.5  # its edge is no seam
+
+
 def test_nothing_hidden_changes_nothing():
     layers = np.ones((2, 8, 4))
     assert fill_by_texture(layers, np.zeros((8, 4), bool)) is layers
