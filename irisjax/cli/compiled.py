@@ -237,7 +237,8 @@ def _read(path: Path) -> _Program:
 @functools.cache
 def _load_lapack() -> None:
     """Have JAX load LAPACK, as it does when it lowers a call, but not for a program of a file."""
-    lapack = jax.jit(jax.numpy.linalg.cholesky)  # noqa: TID251 - never run
+    # It is never run, so that it cannot wait for itself.
+    lapack = jax.jit(jax.numpy.linalg.cholesky)  # noqa: TID251
     lapack.lower(jax.ShapeDtypeStruct((1, 1), np.float32))
 
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import block_diag  # noqa: TID251 - no LAPACK
+from scipy.linalg import block_diag
 
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.media import TEAR
@@ -190,7 +190,7 @@ def _joined(bands: Bands, hazy: Bands) -> Bands:
     ones = jnp.ones_like(bands.white, shape=len(_LAYERS))
     return Bands(
         bands.wavelengths + REFLECTANCE_WAVELENGTHS,
-        block_diag(colours, jnp.diag(ones)),
+        jnp.asarray(block_diag(colours, jnp.diag(ones)), colours.dtype),
         jnp.concatenate([bands.white, hazy.white, ones]),
         (*bands.channels, *hazy.channels, *_LAYERS),
     )

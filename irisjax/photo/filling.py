@@ -9,7 +9,7 @@ from irisjax.photo.texture import fill_holes
 
 _TURNS = 48  # places round the iris from which a hidden region may be filled
 _BORDER = 6  # cells about a region in which the places are compared
-_FADES = 0.04  # of the iris's width, in which differences fade under a lid to a third
+_FADES = 0.04  # depth under a lid at which differences are a third, of the iris's width
 
 
 def fill_by_texture(
@@ -43,11 +43,11 @@ def fill_by_texture(
         turn = min(shown, key=dissimilarity)
         turned = smooth[np.ix_((rows - turn) % len(hidden), columns)]
         if not region.all():
-            off = fill_holes(smooth[box] - turned, region)
-            if region[:, columns == hidden.shape[1] - 1].any():
+            difference = fill_holes(smooth[box] - turned, region)
+            if region[:, columns == hidden.shape[1] - 1].any():  # to the root: under a lid
                 depth = ndimage.distance_transform_edt(region) / hidden.shape[1]
-                off = off * np.exp(-depth / _FADES)[..., None]
-            turned = turned + off
+                difference = difference * np.exp(-depth / _FADES)[..., None]
+            turned = turned + difference
         filled[box] = np.where(region[..., None], turned, filled[box])
     return np.moveaxis(filled, -1, 0)
 

@@ -344,12 +344,13 @@ def log_likelihood(log_ratios: WindowColours, response: WindowColours, present: 
     integrated out [Gelman et al. 2013, Section 3.6].
 
     Args:
-        off: Logarithms of photograph over model, ring after ring.
+        log_ratios: Logarithms of photograph over model, ring after ring.
         response: Derivatives of the model's by that of thickness; their means in rings count.
         present: Windows that count.
     """
     within, free, _, densities = _error_levels(log_ratios, response, present)
-    of_windows = free * jnp.log(jnp.linalg.det(within))  # noqa: TID251 - of 3 × 3 without LAPACK
+    # JAX has a formula for 3 × 3, and calls no LAPACK for it.
+    of_windows = free * jnp.log(jnp.linalg.det(within))  # noqa: TID251
     return jax.nn.logsumexp(densities) - 0.5 * of_windows.sum()
 
 

@@ -232,7 +232,8 @@ def choose_mixtures(
     weighted = light * weights
     moments = jnp.einsum("tkp,tlp->kl", weighted, weighted)
     moments = moments / jnp.maximum(jnp.trace(moments), jnp.finfo(light.dtype).tiny)
-    largest = jnp.linalg.eigh(moments)[1][:, -_MIXTURES:]  # noqa: TID251 - of one matrix
+    # One matrix, in a program that runs alone: no thread of LAPACK's waits for another.
+    largest = jnp.linalg.eigh(moments)[1][:, -_MIXTURES:]  # noqa: TID251
     return largest * weights, largest / weights
 
 
