@@ -35,22 +35,25 @@ _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red an iris.
 _THICKNESS = {"hazel": 0.35, "amber": 0.55, "brown": 0.35}
 _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.0468, 0.00397, 0.161, 0.223, 8.32), (0.137, 0.0103, 0.0228, 0.15, 16.0)),
-    "grey": ((0.0807, 0.035, 0.517, 0.143, 12.3), (0.105, 0.0313, 0.514, 0.0946, 26.8)),
-    "green": ((0.00614, 0.502, 0.98, 0.0117, 17.2), (0.0242, 0.672, 0.98, 0.0265, 31.2)),
-    "hazel": ((0.412, 0.591, 0.741, 0.264, 35.5), (0.163, 0.82, 0.587, 0.188, 33.3)),
-    "amber": ((0.0175, 0.543, 0.725, 0.236, 40.0), (0.0304, 0.631, 0.804, 0.0791, 37.8)),
-    "brown": ((0.171, 1.05, 0.79, 0.419, 39.7), (0.154, 0.712, 0.784, 0.276, 36.4)),
-    "dark-brown": ((0.903, 0.425, 0.488, 0.297, 32.4), (0.443, 0.343, 0.807, 0.193, 34.4)),
+    "blue": ((0.063, 0.00396, 0.105, 0.22, 7.5), (0.0385, 0.022, 0.119, 0.156, 14.1)),
+    "grey": ((0.0933, 0.0299, 0.504, 0.152, 10.9), (0.0335, 0.0369, 0.577, 0.119, 18.8)),
+    "green": ((0.00873, 0.49, 0.98, 0.0157, 16.0), (0.0281, 0.684, 0.947, 0.0311, 27.2)),
+    "hazel": ((0.542, 0.564, 0.685, 0.227, 33.4), (0.17, 1.08, 0.64, 0.133, 32.9)),
+    "amber": ((0.077, 0.707, 0.519, 0.144, 38.3), (0.0486, 0.713, 0.574, 0.0669, 34.0)),
+    "brown": ((0.415, 0.955, 0.769, 0.304, 38.1), (0.34, 0.768, 0.685, 0.227, 34.3)),
+    "dark-brown": ((1.27, 0.171, 0.448, 0.25, 29.3), (0.401, 0.743, 0.643, 0.17, 30.0)),
 }
+# Where thicker stroma is darker, as in brown irides, fibres show by their relief.
+_BROWN = {"abl": 0.5, "fibres": 0.6, "collarette": 0.5, "relief": 0.2}
 _FEATURES: dict[str, dict[str, Any]] = {
-    "blue": {"crypts": 9, "patches": 0.5, "furrows": 2, "looseness": 0.4},
-    "grey": {"patches": 0.8, "crypts": 18, "looseness": 0.8, "fibres": 1.6},
-    "green": {"amber": 1.5, "heterochromia": 2.0, "patches": 0.8, "crypts": 18, "abl": 0.5},
-    "hazel": {"heterochromia": 2.5, "patches": 0.7, "abl": 0.9, "freckles": 4, "crypts": 8},
-    "amber": {"heterochromia": 0.5, "patches": 1.0, "abl": 0.6, "crypts": 5, "looseness": 0.2},
-    "brown": {"abl": 0.6, "patches": 1.0, "crypts": 7, "furrows": 6, "fibres": 1.0},
-    "dark-brown": {"abl": 0.6, "patches": 0.8, "crypts": 5, "furrows": 7, "fibres": 1.0},
+    "blue": {"crypts": 9, "patches": 0.7, "furrows": 2, "collarette": 1.2},
+    "grey": {"crypts": 18, "patches": 0.8, "looseness": 0.8, "fibres": 1.3},
+    "green": {"crypts": 18, "patches": 0.8, "amber": 1.5, "heterochromia": 2.0, "abl": 0.5},
+    "hazel": {"crypts": 10, "patches": 0.7, "heterochromia": 2.5, "abl": 0.9, "freckles": 4},
+    "amber": {"crypts": 8, "patches": 1.2, "amber": 1.0, "heterochromia": 0.5, "abl": 0.6}
+    | {"fibres": 0.8},
+    "brown": {"crypts": 7, "patches": 1.0, "furrows": 6} | _BROWN,
+    "dark-brown": {"crypts": 5, "patches": 0.4, "furrows": 7} | _BROWN,
 }
 
 
@@ -71,12 +74,12 @@ def preset(
     them for each process so that a picture in the studio shows the visible iris, through the cornea
     and with the preset's maps, in the colour of photographed irides within one standard deviation
     (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Of all such
-    values it chooses the pigments nearest to usual ones and the weakest scattering: 8 to 40 times
-    LB06's by ILIT and 16 to 38 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
+    values it chooses the pigments nearest to usual ones and the weakest scattering: 8 to 38 times
+    LB06's by ILIT and 14 to 34 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
     other soft tissues have. Hazel, brown and amber also need a stroma of 0.35, 0.35 and 0.55 mm.
     Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
     Exp. Eye Res. 67, 293]. The redness of photographed irides requires more blood than LB06's 0.084
-    mmol/l, at most 0.419, less than a fifth of pure blood; its saturation is 0.95, as in the
+    mmol/l, at most 0.304, a seventh of pure blood's; its saturation is 0.95, as in the
     choroid, since a saturation of 0.5 would require twice as much blood. Fibrils have LB06's
     radius, which has the same effect as the strength. Hazel and green eyes are browner near the
     pupil, where their maps add eumelanin.
@@ -104,8 +107,7 @@ def preset(
     fields |= {"saturation": _SATURATION, "stroma_thickness": thickness}
     iris = Iris().replace(**fields).replace(**dict(pigments or {}))
     # A share of the thickness, so that the relief is as high in a thicker stroma.
-    relief = 0.28 * usual / thickness
-    arguments: dict[str, Any] = {"relief": relief, "fibres": 1.2, "clouds": 0.8, "collarette": 1.0}
+    arguments: dict[str, Any] = {"relief": 0.25 * usual / thickness}
     arguments |= _FEATURES.get(colour, {}) | dict(features or {})
     # Presets of one key have patterns of their own.
     key = jax.random.fold_in(key, list(_PIGMENTS).index(colour))

@@ -38,7 +38,7 @@ from irisjax.tissue.maps import IrisMaps, cell_centres
 IPE_THICKNESS = 0.07
 """Thickness of the iris pigment epithelium, mm, which ultrasound includes  [F09 Section 3]."""
 COLLARETTE = 0.30  # mean radius of the collarette between the pupil's edge (0) and the root (1)
-STROMA, ABL, MELANIN = (0.2, 2.0), (0.5, 1.6), (0.4, 2.5)
+STROMA, ABL, MELANIN = (0.2, 1.8), (0.5, 1.6), (0.4, 2.5)
 """Ranges of maps relative to their means: wider ones cost the renderer's tables accuracy."""
 FURROW_HEIGHT = 0.025  # height of a contraction furrow's crest, mm
 PUPIL_AT_REST = 1.9
@@ -87,7 +87,8 @@ def procedural(
         fibres: Contrast of the radial fibres, 1 as in a light iris.
         looseness: Degree to which bundles of fibres part, wave and cross, in patches: 0 is straight
             and dense, 1 a net.
-        clouds: Contrast of denser and clearer parts of the stroma, of several sizes.
+        clouds: Contrast of denser and clearer parts of the stroma, of several sizes, and of its
+            thin margins at the pupil and the root.
         collarette: Contrast of the collarette between pupillary and ciliary zone: it is thicker and
             paler, and the pupillary zone thinner and darker, than the ciliary zone.
         crypts: Expected number of openings near the collarette, at most `MOST_CRYPTS`: gaps between
@@ -145,8 +146,8 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     fibres, wreath, crypts, furrows, freckles, slow = seeds
     # One program for all slow fields: bends of the cords, and clouds of pigment and of tissue.
     kinds = (9, 2, 3), (3, 1, 2), (7, 3, 4), (22, 9, 4), (36, 13, 2), (90, 28, 3), (6, 2, 2)
-    fields = noise_fields(slow, turns, radius, (*kinds, (5, 2, 2)))
-    bend, wide, cloud, mist, arc, wool, blur, openness = fields
+    fields = noise_fields(slow, turns, radius, (*kinds, (5, 2, 2), (60, 24, 2)))
+    bend, wide, cloud, mist, arc, wool, blur, openness, curl = fields
     root_radius = eye.iris_radius
     # Along the radius, of cords and folds, relative to rest.
     compression = (root_radius - PUPIL_AT_REST) / (root_radius - eye.pupil_radius)
@@ -159,6 +160,8 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     looseness = amounts["looseness"] * smoothstep(0.5 + 1.6 * openness)
     focus = 0.6 + 0.4 * smoothstep(0.55 + 1.4 * blur)
     bent_turns = turns + compression * (0.006 * bend + (0.0015 + 0.003 * looseness) * arc)
+    # Fibres of the ciliary zone curl; those that a wide pupil compresses do so already.
+    bent_turns += 0.003 / compression * smoothstep((radius - 0.2) / 0.3) * curl
     ring = COLLARETTE + _collarette_offset(wreath, turns)
     capacity = 2 * jnp.pi * distance / FIBRE_SPACING  # number of fibres that fit round a ring
     share = amounts["crypts"] / MOST_CRYPTS * jnp.exp(2 * openness)
@@ -184,26 +187,29 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     upper = (0.9 + 0.8 * outside) * (cords - 0.3) + 0.8 * outside * looseness * (bundle - 0.3)
     surface = contrast * upper
     surface -= 0.6 * amounts["fibres"] * (1 - focus)  # as thick as between the cords
-    clouds = 0.45 * cloud + 0.35 * wide + 0.35 * mist
+    clouds = 0.8 * cloud + 0.6 * wide + 0.5 * mist
     surface += amounts["clouds"] * clouds * (0.4 + 0.6 * outside)
     crests, pupillary = _collarette(wreath, turns, ragged_radius, ring)
     surface += amounts["collarette"] * (0.2 * crests - 0.3 * pupillary)
     surface -= 0.5 * opening + 0.4 * contrast * slit
-    rim = jnp.where(amounts["ruff"] > 0, _pupillary_ruff(wreath, turns, radius / compression), 0.0)
+    seam = _pupillary_ruff(wreath, turns, radius / compression)
+    rim = jnp.where(amounts["ruff"] > 0, seam, 0.0)
     inner += amounts["collarette"] * (0.9 * crests - 0.6 * pupillary)
     inner -= 2.5 * amounts["ruff"] * rim + 0.6 * opening + 0.8 * contrast * slit
+    margin = (1 - seam) * smoothstep(1 - radius / compression / (0.16 + 0.1 * mist))
+    edge = smoothstep((radius - 0.74 + 0.15 * cloud) / 0.3)
+    inner -= 1.2 * amounts["clouds"] * (margin + edge)
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
-    stroma = jnp.log(stroma * thickening) + surface + inner
+    stroma = jnp.log(stroma * thickening) + 0.85 * (surface + inner)
     mottling = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * (cords - 0.3)
     abl = jnp.log(thickening) + amounts["abl"] * mottling
     abl = _limit_range(abl, distance, mean_abl, ABL)
-    height = mean_stroma * _soften(jnp.tanh(surface))
+    height = mean_stroma * _soften(jnp.tanh(0.7 * surface) / 0.7)
     height += jnp.where(amounts["abl"] > 0, abl - mean_abl, 0.0)
     reach = ring + 0.14 + 0.15 * cloud + 0.25 * streak
     zone = smoothstep((reach - ragged_radius) / 0.25 + 0.5)
     eumelanin = jnp.log1p(amounts["heterochromia"] * zone * (1 + 0.7 * mist))
-    root = smoothstep((radius - 0.86 + 0.12 * cloud) / 0.16)
-    dark = 0.8 * cloud + 0.6 * jnp.tanh(4 * wide) + 0.6 * mist + 0.5 * streak + 0.9 * root
+    dark = 0.8 * cloud + 0.6 * jnp.tanh(4 * wide) + 0.6 * mist + 0.5 * streak + 1.6 * edge
     dark += 2.0 * rim + 3.0 * (opening + slit) - contrast * (1.5 * (cords - 0.3) + 0.4 * mesh)
     dark += amounts["collarette"] * (0.6 * pupillary - 0.8 * crests)
     eumelanin += amounts["patches"] * dark
@@ -236,8 +242,10 @@ def stroma_profile(radius: _Radius) -> _Radius:
 
 
 def _soften(height: NoiseField) -> NoiseField:
-    """Remove the angular frequencies whose slopes texels cannot resolve, by (1, 2, 1) / 4 twice."""
-    for _ in range(2):
+    """Smooth a height along the angle by (1, 2, 1) / 4 three times: texels cannot resolve
+    finer slopes, and the tissue would look carved.
+    """
+    for _ in range(3):
         height = (jnp.roll(height, 1, 0) + 2 * height + jnp.roll(height, -1, 0)) / 4
     return height
 
@@ -304,7 +312,7 @@ def _fibres(
     """
     cord_seed, field_seed = split_seed(seed, 2)
     around = 19, 41, 89, 167, 239, 61, 71, 139, 157, 90, 90
-    along = 1, 1, 2, 2, 2, 3, 3, 4, 4, 2, 1
+    along = 2, 2, 4, 4, 5, 4, 5, 7, 8, 3, 1
     kinds = [(min(n, angles // 4), m) for n, m in zip(around, along, strict=True)]
     leaning = jnp.asarray([0.0, 0.2, -0.2, 0.0, 0.2, 1.0, -1.0, 1.0, -1.0, 0.0, 0.0], radius.dtype)
     table = jnp.stack(split_seed(field_seed, len(kinds))), *jnp.asarray(kinds).T, leaning
