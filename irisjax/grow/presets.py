@@ -35,18 +35,18 @@ _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red an iris.
 _THICKNESS = {"hazel": 0.35, "amber": 0.55, "brown": 0.35}
 _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.063, 0.00396, 0.105, 0.22, 7.5), (0.0385, 0.022, 0.119, 0.156, 14.1)),
-    "grey": ((0.0933, 0.0299, 0.504, 0.152, 10.9), (0.0335, 0.0369, 0.577, 0.119, 18.8)),
-    "green": ((0.00873, 0.49, 0.98, 0.0157, 16.0), (0.0281, 0.684, 0.947, 0.0311, 27.2)),
-    "hazel": ((0.542, 0.564, 0.685, 0.227, 33.4), (0.17, 1.08, 0.64, 0.133, 32.9)),
-    "amber": ((0.077, 0.707, 0.519, 0.144, 38.3), (0.0486, 0.713, 0.574, 0.0669, 34.0)),
-    "brown": ((0.415, 0.955, 0.769, 0.304, 38.1), (0.34, 0.768, 0.685, 0.227, 34.3)),
-    "dark-brown": ((1.27, 0.171, 0.448, 0.25, 29.3), (0.401, 0.743, 0.643, 0.17, 30.0)),
+    "blue": ((0.0382, 0.00598, 0.0369, 0.227, 7.38), (0.0204, 0.00975, 0.0301, 0.164, 13.9)),
+    "grey": ((0.0868, 0.0308, 0.51, 0.148, 10.9), (0.035, 0.0403, 0.533, 0.114, 18.9)),
+    "green": ((0.00853, 0.511, 0.98, 0.0146, 15.8), (0.0283, 0.701, 0.971, 0.0304, 26.8)),
+    "hazel": ((0.517, 0.607, 0.663, 0.239, 33.1), (0.154, 1.08, 0.66, 0.133, 33.3)),
+    "amber": ((0.0481, 0.655, 0.559, 0.17, 36.3), (0.0387, 0.721, 0.594, 0.0673, 34.6)),
+    "brown": ((0.405, 1.02, 0.739, 0.312, 38.0), (0.321, 0.777, 0.691, 0.23, 34.2)),
+    "dark-brown": ((1.27, 0.18, 0.449, 0.253, 29.7), (0.746, 0.518, 0.507, 0.173, 35.5)),
 }
 # Where thicker stroma is darker, as in brown irides, fibres show by their relief.
 _BROWN = {"abl": 0.5, "fibres": 0.6, "collarette": 0.5, "relief": 0.2}
 _FEATURES: dict[str, dict[str, Any]] = {
-    "blue": {"crypts": 9, "patches": 0.7, "furrows": 2, "collarette": 1.2},
+    "blue": {"crypts": 9, "patches": 0.7, "furrows": 2, "collarette": 0.6},
     "grey": {"crypts": 18, "patches": 0.8, "looseness": 0.8, "fibres": 1.3},
     "green": {"crypts": 18, "patches": 0.8, "amber": 1.5, "heterochromia": 2.0, "abl": 0.5},
     "hazel": {"crypts": 10, "patches": 0.7, "heterochromia": 2.5, "abl": 0.9, "freckles": 4},
@@ -75,11 +75,11 @@ def preset(
     and with the preset's maps, in the colour of photographed irides within one standard deviation
     (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Of all such
     values it chooses the pigments nearest to usual ones and the weakest scattering: 8 to 38 times
-    LB06's by ILIT and 14 to 34 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
+    LB06's by ILIT and 14 to 36 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
     other soft tissues have. Hazel, brown and amber also need a stroma of 0.35, 0.35 and 0.55 mm.
     Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
     Exp. Eye Res. 67, 293]. The redness of photographed irides requires more blood than LB06's 0.084
-    mmol/l, at most 0.304, a seventh of pure blood's; its saturation is 0.95, as in the
+    mmol/l, at most 0.312, a seventh of pure blood's; its saturation is 0.95, as in the
     choroid, since a saturation of 0.5 would require twice as much blood. Fibrils have LB06's
     radius, which has the same effect as the strength. Hazel and green eyes are browner near the
     pupil, where their maps add eumelanin.

@@ -183,7 +183,8 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     opening *= jnp.minimum(1.0, 1.3 / compression)  # a wide pupil closes them
     contrast = amounts["fibres"] * focus
     # Logarithms of the stroma's thickness: `surface` rises towards the cornea, `inner` lies below.
-    inner = contrast * ((0.5 + 0.7 * opening) * mesh + 0.5 * wool + 0.3 * streak + 0.4 * root)
+    inner = contrast * ((0.55 + opening) * mesh + 0.5 * wool + 0.5 * streak + 0.4 * root)
+    frame = 4 * opening * (1 - opening)  # a crypt's rim
     upper = (0.9 + 0.8 * outside) * (cords - 0.3) + 0.8 * outside * looseness * (bundle - 0.3)
     surface = contrast * upper
     surface -= 0.6 * amounts["fibres"] * (1 - focus)  # as thick as between the cords
@@ -194,8 +195,9 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     surface -= 0.5 * opening + 0.4 * contrast * slit
     seam = _pupillary_ruff(wreath, turns, radius / compression)
     rim = jnp.where(amounts["ruff"] > 0, seam, 0.0)
-    inner += amounts["collarette"] * (0.9 * crests - 0.6 * pupillary)
-    inner -= 2.5 * amounts["ruff"] * rim + 0.6 * opening + 0.8 * contrast * slit
+    inner += amounts["collarette"] * (1.2 * crests - 0.9 * pupillary)
+    inner -= 2.5 * amounts["ruff"] * rim + 1.4 * opening + 0.8 * contrast * slit
+    inner += 0.7 * frame
     margin = (1 - seam) * smoothstep(1 - radius / compression / (0.16 + 0.1 * mist))
     edge = smoothstep((radius - 0.74 + 0.15 * cloud) / 0.3)
     inner -= 1.2 * amounts["clouds"] * (margin + edge)
@@ -206,14 +208,15 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     abl = _limit_range(abl, distance, mean_abl, ABL)
     height = mean_stroma * _soften(jnp.tanh(0.7 * surface) / 0.7)
     height += jnp.where(amounts["abl"] > 0, abl - mean_abl, 0.0)
-    reach = ring + 0.14 + 0.15 * cloud + 0.25 * streak
+    reach = ring + 0.14 + 0.15 * cloud + 0.3 * streak + 0.2 * (cords - 0.3)
     zone = smoothstep((reach - ragged_radius) / 0.25 + 0.5)
     eumelanin = jnp.log1p(amounts["heterochromia"] * zone * (1 + 0.7 * mist))
-    dark = 0.8 * cloud + 0.6 * jnp.tanh(4 * wide) + 0.6 * mist + 0.5 * streak + 1.6 * edge
-    dark += 2.0 * rim + 3.0 * (opening + slit) - contrast * (1.5 * (cords - 0.3) + 0.4 * mesh)
+    dark = 0.8 * cloud + 0.6 * jnp.tanh(4 * wide) + 0.6 * mist + 0.7 * wool + 0.5 * streak
+    dark += 1.6 * edge + 2.0 * rim + 3.0 * (opening + slit)
+    dark -= contrast * (1.5 * (cords - 0.3) + 0.4 * mesh)
     dark += amounts["collarette"] * (0.6 * pupillary - 0.8 * crests)
     eumelanin += amounts["patches"] * dark
-    reach = ring + 0.3 + 0.2 * wide - 0.2 * cloud + 0.2 * streak
+    reach = ring + 0.3 + 0.2 * wide - 0.2 * cloud + 0.3 * streak + 0.2 * (cords - 0.3)
     zone = smoothstep((reach - ragged_radius) / 0.5 + 0.5)
     cloudy = jnp.maximum(1 + 0.8 * mist + 0.4 * cloud, 0.0)
     pheomelanin = jnp.log1p(amounts["amber"] * zone * cloudy)
@@ -311,8 +314,8 @@ def _fibres(
         for streaks along both; and noise for slits.
     """
     cord_seed, field_seed = split_seed(seed, 2)
-    around = 19, 41, 89, 167, 239, 61, 71, 139, 157, 90, 90
-    along = 2, 2, 4, 4, 5, 4, 5, 7, 8, 3, 1
+    around = 19, 41, 89, 167, 239, 61, 71, 139, 157, 190, 90
+    along = 2, 2, 4, 4, 5, 4, 5, 7, 8, 4, 1
     kinds = [(min(n, angles // 4), m) for n, m in zip(around, along, strict=True)]
     leaning = jnp.asarray([0.0, 0.2, -0.2, 0.0, 0.2, 1.0, -1.0, 1.0, -1.0, 0.0, 0.0], radius.dtype)
     table = jnp.stack(split_seed(field_seed, len(kinds))), *jnp.asarray(kinds).T, leaning
@@ -456,13 +459,13 @@ def _furrows(seed: Seed, turns, radius, count: Count) -> NoiseField:
 
 
 def _freckles(seed: Seed, turns, distance, eye: Eye, ragged, count: Count) -> NoiseField:
-    """Draw soft irregular spots, 0 to 1, of 0.05 to 0.25 mm radius."""
+    """Draw soft irregular spots, 0 to 1, of 0.08 to 0.24 mm radius."""
 
     def spot(k, cover):
         a, b, c, d = draw_uniform(seed, 4, k, distance.dtype)
         middle = eye.from_axis(0.15 + 0.75 * b)
         across = 2 * jnp.pi * ((turns - a + 0.5) % 1.0 - 0.5) * middle
-        away = jnp.sqrt(across**2 + (distance - middle) ** 2) / (0.05 * 5.0 ** (c**2))
+        away = jnp.sqrt(across**2 + (distance - middle) ** 2) / (0.08 * 3.0 ** (c**2))
         shape = smoothstep(1.4 - 0.9 * away + 0.8 * ragged) ** 2
         return jnp.maximum(cover, (0.3 + 0.7 * d) * shape)
 
