@@ -61,6 +61,7 @@ def procedural(
     fibres: float = 1.0,
     looseness: float = 0.5,
     clouds: float = 1.0,
+    margins: float = 0.0,
     collarette: float = 1.0,
     crypts: int = 14,
     furrows: int = 4,
@@ -87,8 +88,8 @@ def procedural(
         fibres: Contrast of the radial fibres, 1 as in a light iris.
         looseness: Degree to which bundles of fibres part, wave and cross, in patches: 0 is straight
             and dense, 1 a net.
-        clouds: Contrast of denser and clearer parts of the stroma, of several sizes, and of its
-            thin margins at the pupil and the root.
+        clouds: Contrast of denser and clearer parts of the stroma, of several sizes.
+        margins: Degree to which the stroma is thinner at the pupil and the root than in ultrasound.
         collarette: Contrast of the collarette between pupillary and ciliary zone: it is thicker and
             paler, and the pupillary zone thinner and darker, than the ciliary zone.
         crypts: Expected number of openings near the collarette, at most `MOST_CRYPTS`: gaps between
@@ -126,7 +127,7 @@ def procedural(
     maps = _grow(iris, eye, shape, profile, amounts, key)
     rough = fibres or collarette or crypts or ruff or clouds
     absent = {
-        "stroma_depth": not (profile or rough),
+        "stroma_depth": not (profile or rough or margins),
         "relief": not (relief and (rough or furrows or abl)),
         "abl_depth": not abl,
         "freckles": not freckles,
@@ -200,7 +201,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     inner += 0.7 * frame
     margin = (1 - seam) * smoothstep(1 - radius / compression / (0.16 + 0.1 * mist))
     edge = smoothstep((radius - 0.74 + 0.15 * cloud) / 0.3)
-    inner -= 1.2 * amounts["clouds"] * (margin + edge)
+    inner -= 1.2 * amounts["margins"] * (margin + edge)
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
     stroma = jnp.log(stroma * thickening) + 0.85 * (surface + inner)
     mottling = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * (cords - 0.3)

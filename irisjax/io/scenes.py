@@ -333,6 +333,7 @@ FEATURES: dict[str, EntryCheck] = {
     "fibres": Range(0, 4),
     "looseness": Range(0, 2),
     "clouds": Range(0, 4),
+    "margins": Range(0, 2),
     "collarette": Range(0, 4),
     "crypts": range(201),
     "furrows": range(51),

@@ -262,7 +262,7 @@ def average_maps(eye: Eye) -> IrisMaps:
 
     Pigments are fitted with this iris: the thickness map is estimated from the same photograph, so
     it must not be used as independent evidence for the pigments. Shade and uneven thickness make an
-    iris darker than a smooth one, by 13 to 19 % between collarette and root.
+    iris 24 to 27 % darker than a smooth one inside the collarette, and up to 8 % brighter outside.
     """
     iris = Iris(stroma_thickness=jnp.asarray(average_thickness(eye)))
     return procedural(iris, eye, key=jax.random.key(_SEED))

@@ -115,6 +115,13 @@ def test_strands_run_radially(everything):
     assert np.diff(m, axis=0).std() > 2 * np.diff(m, axis=1).std()
 
 
+def test_margins_are_thin_at_the_pupil_and_the_root(everything):
+    thin = procedural(ij.Iris(), shape=SHAPE, **EXTRA, margins=1.0, key=KEY)
+    ratio = np.asarray(thin.stroma_depth.mean(0) / everything.stroma_depth.mean(0))
+    pupillary, ciliary, root = ratio[1], ratio[SHAPE[1] // 2], ratio[-1]
+    assert pupillary < 0.8 * ciliary and root < 0.8 * ciliary
+
+
 def test_crypts_open_near_the_collarette_and_loose_fibres_cross():
     closed, open_, loose = (
         procedural(ij.Iris(), shape=SHAPE, crypts=n, looseness=x, key=KEY).stroma_depth
@@ -146,6 +153,7 @@ def test_profile_passes_through_ultrasound():
         ({"profile": True, "relief": 0.0}, {"stroma_depth"}),
         ({"furrows": 2}, {"relief"}),
         ({"clouds": 1.0, "relief": 0.0}, {"stroma_depth"}),
+        ({"margins": 1.0}, {"stroma_depth"}),
         ({"freckles": 2}, {"freckles"}),
         ({"heterochromia": 1.0}, {"eumelanin"}),
         ({"patches": 1.0}, {"eumelanin"}),
