@@ -149,7 +149,7 @@ def find_lash_shadows(pixels: Colours, limbus: Ellipse, lids: Mask, clear: Mask)
 
 
 def select_regions(predicate: Callable[[Any, tuple[np.ndarray, ...]], Any], mask: Mask) -> Mask:
-    """Return the connected regions of a mask for which `hold(region, indices)` is true."""
+    """Return the connected regions of a mask for which `predicate(region, indices)` is true."""
     selected = np.zeros_like(mask)
     for region in measure.regionprops(measure.label(mask)):
         at = tuple(region.coords.T)
