@@ -43,7 +43,7 @@ _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_
     "brown": ((0.405, 1.02, 0.739, 0.312, 38.0), (0.321, 0.777, 0.691, 0.23, 34.2)),
     "dark-brown": ((1.27, 0.18, 0.449, 0.253, 29.7), (0.746, 0.518, 0.507, 0.173, 35.5)),
 }
-# Where thicker stroma is darker, as in brown irides, fibres show by their relief.
+# Thicker stroma is darker in brown irides, so that their fibres show by relief alone.
 _BROWN = {"abl": 0.5, "fibres": 0.6, "collarette": 0.5, "relief": 0.2}
 _FEATURES: dict[str, dict[str, Any]] = {
     "blue": {"crypts": 9, "patches": 0.7, "furrows": 2, "collarette": 0.6},
