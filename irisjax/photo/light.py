@@ -85,11 +85,12 @@ def find_lighting(
     mirror: lamps at infinity from compact ones, and windows or soft boxes from wide ones.
 
     A highlight is cut off somewhere, and reaches to half of that brightness: rounding and JPEG
-    break up what is cut off alone. Where none is, mirror images that are not cut off count. A wide
-    light reaches as far as the mirror image that it is part of, and becomes a panorama of what the
-    photograph shows there [Nishino & Nayar 2004]; where that is cut off it is brighter. Lamps and
-    wide lights share an irradiance of π, on surfaces that face them, in proportion to the light of
-    their images. Without a highlight, uniform light from all round is assumed.
+    break up what is cut off alone. Where none is, mirror images that are not cut off count, by the
+    light that they add to the iris. A wide light reaches as far as the mirror image that it is part
+    of, and becomes a panorama of what the photograph shows there [Nishino & Nayar 2004]; where that
+    is cut off it is brighter. Lamps and wide lights share an irradiance of π, on surfaces that face
+    them, in proportion to the light of their images. Without a highlight, uniform light from all
+    round is assumed.
 
     Args:
         part: Linear pixels of the camera's picture.
@@ -121,7 +122,7 @@ def find_lighting(
     # The white beyond mirrors the same directions again; what is behind the eye does not light it.
     before = middle & (-directions[..., 2] > np.cos(LARGEST_POLAR))
     images = np.asarray(measure.label(image & before))
-    lamps, wide = list[tuple[Any, float, float]](), set[int]()
+    lamps, wide = list[tuple[Any, Any, float]](), set[int]()
     for spot in sorted(spots, key=lambda s: -s.area)[:_MOST_LAMPS]:
         at = tuple(spot.coords.T)
         lit, radius = before[at], scale * np.sqrt(spot.area / np.pi)
@@ -131,13 +132,19 @@ def find_lighting(
         if radius > _WIDEST_LAMP:
             wide.add(number)
         else:
-            lamps.append((directions[at][lit].mean(0), spot.area, max(radius, 0.005)))
+            lamps.append((directions[at][lit].mean(0), at, max(radius, 0.005)))
     if not lamps and not wide:
         return Lighting(None, Environment.uniform(), found=0)
     seen, sure = np.isin(images, list(wide)), glow | reflected
-    shown = np.where(seen[..., None], _image_over_iris(part, image, sure, limbus, pupil), 0)
+    over_iris = _image_over_iris(part, image, sure, limbus, pupil)
+    shown = np.where(seen[..., None], over_iris, 0)
     power = float((shown @ LUMINANCE).sum())
-    total = power + sum(area for _, area, _ in lamps)
+    # What is cut off has at least a value of 1 in every pixel.
+    bright = np.where(burnt_out, 1.0, over_iris @ LUMINANCE)
+    powers = np.array([bright[at].sum() for _, at, _ in lamps])
+    total = power + powers.sum()
+    if total == 0:  # no more light than the iris has beside it
+        return Lighting(None, Environment.uniform(), found=0)
     environment, lights, exposure = None, None, None
     if wide:
         reflectance = scatter_to_picture(film, np.asarray(film.reflectance), shape)[..., None]
@@ -145,10 +152,11 @@ def find_lighting(
         panorama, light = _panorama(shown / np.maximum(reflectance, 1e-6), directions, seen)
         environment, exposure = Environment(irradiance * panorama), light / irradiance
     if lamps:
-        (x, y, z), area, radius = (np.transpose(v) for v in zip(*lamps, strict=True))
+        directed, _, radius = zip(*lamps, strict=True)
+        x, y, z = np.transpose(directed)
         polar, azimuth = np.arctan2(np.hypot(x, y), -z), np.arctan2(y, x)
-        parts: list[Any] = [polar, azimuth, np.pi * area / total]
-        lights = Lights.distant(*parts, radius=cast(Any, radius))
+        parts: list[Any] = [polar, azimuth, np.pi * powers / total]
+        lights = Lights.distant(*parts, radius=cast(Any, np.array(radius)))
     known: dict[str, Any] = {"exposure": exposure, "burnt_out": burnt_out}
     return Lighting(lights, environment, room=True, found=len(lamps) + len(wide), **known)
 

@@ -97,6 +97,18 @@ def test_two_lamps_share_the_light_by_their_areas():
     assert first + second == pytest.approx(np.pi) and first > 2 * second
 
 
+def test_lamps_whose_images_are_not_cut_off_share_the_light_by_their_brightness():
+    """A faint image was drawn as bright as a lamp's."""
+    one, other = _direction(0.9, 2.0), _direction(0.9, -1.0)
+    bright, faint = (_mirrored(towards, 0.08) > 0.5 for towards in (one, other))
+    picture = np.where(bright, 0.65, np.where(faint, 0.11, DIM))
+    reflected = (picture > 0.1).all(-1) & (LIMBUS.radii(POSE.camera.shape) < 0.9)
+    light = find_lighting(picture, LIMBUS, PUPIL, reflected, POSE, view())
+    towards, irradiance = (np.asarray(v) for v in (light.lamps.towards, light.lamps.irradiance))
+    first, second = (irradiance[np.argmax(towards @ t)] for t in (one, other))
+    assert first / second == pytest.approx(0.6 * bright.sum() / (0.06 * faint.sum()), rel=0.1)
+
+
 def test_a_wide_highlight_is_a_window_of_its_own_shape():
     """A window of two panes comes back with its bar, and lights the eye from where it stands."""
     towards = _direction(0.6, 2.4)
