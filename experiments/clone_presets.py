@@ -2,11 +2,14 @@
 
 The presets are drawn by the package's own renderer, in the studio and straight from the front. The
 optics are the same on both sides; but the search knows neither the maps nor the light, and the
-pigments are those that photographed colours asked for, not draws from its priors.
+pigments are those that photographed colours asked for, not draws from its priors. Each preset is
+also drawn with maps whose contrast is raised: how much may colours vary over an iris before the
+pigments of its mean are wrong?
 """
 
 import jax.numpy as jnp
 import numpy as np
+from tqdm import tqdm
 
 from experiments.clone_truth import scattering_of
 from experiments.common import RESULTS, start, write
@@ -15,6 +18,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.grow.presets import PRESETS
 from irisjax.photo.clone import CloneSettings, Sampled, clone_eye, compare_with_photograph
 from irisjax.photo.doubts import doubts_of
+from irisjax.photo.pigments import mean_misfit
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.picture import draw_bands
@@ -25,8 +29,11 @@ from irisjax.tissue.maps import IrisMaps, cell_centres
 SIZE, WIDTH = 640, 14.0
 """Side of a picture in pixels, and width of the field that it shows in mm."""
 EYE = Eye().replace(pupil_radius=1.7)
-COLUMNS = ("preset", "parameter", "truth", "q2.5", "median", "q97.5")
-PICTURES = ("preset", "doubts", *(f"{p}_{c}" for p in ("rms", "pigments") for c in "rgb"))
+CONTRASTS = (1.0, 1.5, 2.0)
+"""Powers of the maps of pigments and thickness."""
+COLUMNS = ("preset", "contrast", "parameter", "truth", "q2.5", "median", "q97.5")
+PICTURES = ("preset", "contrast", "doubts", "windows_rms")
+PICTURES += tuple(f"{p}_{c}" for p in ("rms", "pigments") for c in "rgb")
 
 
 def main(key, quick=False, out=RESULTS):
@@ -34,20 +41,35 @@ def main(key, quick=False, out=RESULTS):
     preset).
     """
     intervals, pictures = [], []
-    for colour in list(PRESETS)[: 1 if quick else None]:
+    eyes = [(colour, contrast) for contrast in CONTRASTS for colour in PRESETS]
+    for colour, contrast in tqdm(eyes[: 1 if quick else None], unit="eye", disable=quick):
         iris, maps = PRESETS[colour](EYE, key=key)
+        maps = _raised(maps, contrast)
         *_, found = clone_eye(_photographed(iris, maps), CloneSettings(), key=key)
         assert isinstance(found, Sampled)
         difference = compare_with_photograph(found)
         doubts = len(doubts_of(found, difference.rms_of_pigments))
         rms = 100 * np.concatenate([difference.rms, difference.rms_of_pigments])
-        pictures.append((colour, doubts, *map(float, rms)))
+        off = mean_misfit(found.fit, found.windows)
+        pictures.append((colour, contrast, doubts, off, *map(float, rms)))
         for name, value in _truth(iris, maps, found).items():
             e = found.posterior.estimates[name]
-            intervals.append((colour, name, value, e.low, e.median, e.high))
+            intervals.append((colour, contrast, name, value, e.low, e.median, e.high))
     about = ("presets drawn by the package's renderer, and cloned", f"{SIZE} px")
     write(out / "clone_presets.csv", about, COLUMNS, intervals)
     write(out / "clone_presets_pictures.csv", (*about, "differences: %"), PICTURES, pictures)
+
+
+def _raised(maps: IrisMaps, power: float) -> IrisMaps:
+    """Maps with deviations from their geometric means raised to a power."""
+
+    def raised(values):
+        middle = jnp.exp(jnp.log(values).mean())
+        return middle * (values / middle) ** power
+
+    fields = "stroma_depth", "eumelanin", "pheomelanin"
+    held = {name: value for name in fields if (value := getattr(maps, name)) is not None}
+    return maps.replace(**{name: raised(value) for name, value in held.items()})
 
 
 def _photographed(iris: Iris, maps: IrisMaps):

@@ -1,5 +1,5 @@
-"""Eyes drawn from the priors of `photo.pigments` and their photographs, by the package's own
-renderer: what experiments on clones begin with.
+"""Eyes drawn from the priors of `photo.pigments` and `photo.white`, and their photographs, by the
+package's own renderer: what experiments on clones begin with.
 """
 
 import tempfile
@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from experiments.simulated_photographs import outline, sensed
-from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.eye import Eye, Sclera
 from irisjax.grow.procedural import procedural
 from irisjax.io.images import write_png
 from irisjax.io.photographs import read_photograph
@@ -21,11 +21,14 @@ from irisjax.measure.colour import srgb_encode
 from irisjax.photo.clone import usual_iris
 from irisjax.photo.photograph import Ellipse, Photograph
 from irisjax.photo.pigments import FREE_NAMES, PRIORS, iris_of_concentrations
+from irisjax.photo.white import whites_of_people
 from irisjax.photo.windows import average_thickness
+from irisjax.render.bands import BAND_GRID, colour_bands
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
+from irisjax.render.outside import bulk_reflectance
 from irisjax.render.picture import draw
 from irisjax.render.scene import Scene
 
@@ -94,6 +97,13 @@ def _built() -> Illumination:
     return Illumination.build(Eye())
 
 
+@cache
+def _white_of_package() -> np.ndarray:
+    """The white of `Sclera`, linear sRGB."""
+    weights = colour_bands(all_wavelengths=True).weights
+    return np.asarray(weights @ bulk_reflectance(Sclera(), BAND_GRID))
+
+
 def _scene(values: dict[str, float], random: np.random.Generator) -> Scene:
     """An iris of these values, its structure, lamp and camera drawn."""
     eye = Eye(pupil_radius=jnp.asarray(random.uniform(*PUPIL)))
@@ -101,6 +111,8 @@ def _scene(values: dict[str, float], random: np.random.Generator) -> Scene:
     base = usual_iris(height)
     maps = procedural(base, eye, key=jax.random.key(int(random.integers(2**31))))
     iris = iris_of_concentrations({n: jnp.asarray(v) for n, v in values.items()}, base)
+    white = whites_of_people(random.standard_normal((1, 3)))[0] / _white_of_package()
+    eye = eye.replace(sclera=Sclera(tint=jnp.asarray(white)))
     tilt, lamp = (
         float(np.arccos(random.uniform(np.cos(high), np.cos(low))))
         for low, high in ((0.0, STEEPEST), LAMP_POLAR)

@@ -38,6 +38,8 @@ EYE_LIMITS = {
     "radius": Range(8, 16, "mm"),
     "veins": Range(0, 10),
     "yellowing": Range(0, 10),
+    "tint": Range(0, 10),
+    "gloss": Range(0, 1),
     "hemoglobin": Range(0, 10, "mmol/l"),
     "saturation": Range(0, 1),
     "attenuation": Range(0, 1, "1/mm"),
@@ -88,6 +90,10 @@ class Sclera(eqx.Module):
         saturation: Oxygen saturation in the vessels.
         yellowing: Yellow pigment of the white, of that of other bloodless tissues; 0 is a child's,
             bluish white.
+        tint: Factors on its reflectance in red, green and blue (at 610, 550 and 450 nm, linear
+            between them and constant beyond), such as a photograph shows; `None` for 1.
+        gloss: Share of the images in its tear film that it shows: 0 where lids would hide them or
+            the conjunctiva is rough.
     """
 
     radius: Scalar = float_field(11.5)
@@ -95,6 +101,8 @@ class Sclera(eqx.Module):
     hemoglobin: Scalar = float_field(2.3)
     saturation: Scalar = float_field(0.9)
     yellowing: Scalar = float_field(1.0)
+    tint: Float[Array, "3"] | None = optional_field(None)
+    gloss: Scalar = float_field(1.0)
 
     def __check_init__(self) -> None:
         check_fields(self, EYE_LIMITS)

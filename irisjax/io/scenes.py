@@ -138,7 +138,7 @@ class SceneFile:
         kind, white = entry.pop("cornea", "two-surfaces"), entry.pop("sclera", True)
         density: Any = entry.pop("veins", "clear")
         density = VEINS.get(density, density)
-        whiteness = {k: entry.pop(k) for k in ("yellowing",) if k in entry}
+        whiteness = {n: entry.pop(k) for k, n in _WHITE.items() if k in entry}
         ring = {name: entry.pop(key) for key, name in LIMBAL_RING.items() if key in entry}
         if irregularity := entry.pop("pupil_irregularity", 0.0):
             if "pupil_harmonics" in entry:
@@ -249,7 +249,7 @@ def scene_text(
             "cornea": "none" if eye.cornea is None else "two-surfaces" if two else "f09",
             "sclera": eye.sclera is not None,
             "veins": 0.0 if eye.sclera is None or scene.veins is None else eye.sclera.veins,
-            "yellowing": getattr(eye.sclera, "yellowing", None),
+            **{k: getattr(eye.sclera, n, None) for k, n in _WHITE.items()},
             **{name: getattr(eye, name) for name in (*_EYE, "pupil_centre", "pupil_harmonics")},
             **{k: getattr(ring, n) if ring else None for k, n in LIMBAL_RING.items()},
             **({} if ring else {"limbal_ring": 0.0}),
@@ -322,6 +322,8 @@ SIDES = {"left": -1, "right": 1}
 """Sides of the nose in the picture, as signs of x."""
 LIMBAL_RING = {"limbal_ring": "darkening", "limbal_ring_width": "width", "limbal_ring_fade": "fade"}
 """Entries of `[eye]` that are fields of its `LimbalRing`."""
+# Entries of `[eye]` that are fields of its `Sclera`.
+_WHITE = {"yellowing": "yellowing", "white_tint": "tint", "white_gloss": "gloss"}
 # Numbers of `Eye` and `Iris` that are entries under their own names.
 _EYE = (
     *("iris_depth", "iris_slope", "limbus_radius", "limbus_width", "iris_radius"),
@@ -362,6 +364,8 @@ SECTIONS: dict[str, dict[str, EntryCheck]] = {
         **{key: EYE_LIMITS[name] for key, name in LIMBAL_RING.items()},
         "veins": _density,
         "yellowing": EYE_LIMITS["yellowing"],
+        "white_tint": listed("[red, green, blue]", EYE_LIMITS["tint"]),
+        "white_gloss": EYE_LIMITS["gloss"],
         "pupil_centre": listed("[x, y] in mm", EYE_LIMITS["pupil_centre"]),
         "pupil_irregularity": IRREGULARITY,
         "pupil_harmonics": _harmonics,

@@ -18,7 +18,7 @@ from jaxtyping import ArrayLike, Bool, Float
 from scipy import optimize
 
 from irisjax._types import PRNGKey
-from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.anatomy.eye import Cornea, Eye, Sclera
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_known
 from irisjax.photo import pigments, texels
@@ -46,7 +46,10 @@ from irisjax.photo.thickness import (
     shape_maps,
     smooth_maps,
 )
+from irisjax.photo.white import WhiteOfEye, find_white
 from irisjax.photo.windows import (
+    NO_WHITE,
+    WhiteSeen,
     Windows,
     average_maps,
     choose_pixels,
@@ -178,6 +181,7 @@ class Posed(Outlined):
         limbus: Outline of the limbus, in pixels of `part`.
         pupil: Outline of the pupil as it appears, in pixels of `part`.
         lids: Whether lids hide some of the iris.
+        white: The white beside the iris, on the pixels of `part`; `None` if none is seen.
         second: The second photograph on the pixels of `part`.
     """
 
@@ -189,6 +193,7 @@ class Posed(Outlined):
     limbus: Ellipse
     pupil: Ellipse
     lids: bool
+    white: WhiteOfEye | None
     second: SecondPhotograph | None
 
 
@@ -460,12 +465,17 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
     limbus = part.limbus.moved(-x, -y)
     if lids.any():
         clear = clear & ~find_mirrored_face(pixels, part.outside[cut], limbus, view.mirror)
+    try:
+        white = find_white(part, boundaries.limbus_width, pixels[clear])
+        white = white._replace(pixels=white.pixels[cut])
+    except ValueError:
+        white = None
     second = None
     if given.second is not None:
         second = lay_on_first(given.second, photograph, boundaries.limbus, boundaries.pupil, cut)
     known: dict[str, Any] = {"pose": pose, "view": view, "part": pixels, "clear": clear}
     known |= {"limbus": limbus, "pupil": pupil.moved(-x, -y), "reflected": mirrored[cut]}
-    return Posed(**vars(outlined), **known, lids=bool(lids.any()), second=second)
+    return Posed(**vars(outlined), **known, lids=bool(lids.any()), white=white, second=second)
 
 
 def flatten_iris(posed: Posed, given: Given = NOTHING) -> Flat:
@@ -548,10 +558,11 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     def windows_with(maps: IrisMaps, turned: bool = False) -> Windows:
         known = light.lights(), integrator, lit.tables, light.room, turned
         made = make_windows(chosen, eye, base, maps.replace(freckles=None), *known)
-        if light.exposure is None:
-            return made
-        told = np.asarray(light.exposure), np.asarray(light.burnt_out)
-        return dataclasses.replace(made, exposure=told[0], at_least=told[1])
+        known = {"white": _white_seen(lit)}
+        if light.exposure is not None:
+            told = np.asarray(light.exposure), np.asarray(light.burnt_out)
+            known |= {"exposure": told[0], "at_least": told[1]}
+        return dataclasses.replace(made, **known)
 
     windows = windows_with(maps, turned=given.maps is None)
     search = pigments.simplex if settings.method == "simplex" else pigments.fit_pigments
@@ -597,10 +608,10 @@ def has_texels(settings: CloneSettings, given: Given = NOTHING) -> bool:
 
 def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHING) -> Coloured:
     """Solve every texel for its own pigments and thickness if it `has_texels`; if not, the iris
-    keeps one pair of melanins.
+    keeps one pair of melanins. The white of the eye gets the tint that the photograph shows.
     """
     if not has_texels(settings, given):
-        return Coloured(**vars(fitted), texels=None)
+        return Coloured(**vars(_with_white_as_seen(fitted)), texels=None)
     finest: Any = refine_table(fitted.integrator)
     fitted = dataclasses.replace(fitted, integrator=finest)
     scene = fitted.scene_with(None).replace(integrator=finest)
@@ -623,7 +634,26 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
     known = fitted.view, fitted.tables, fitted.exposure, pigments.doubt_of_exposures(fitted.fit)
     found = texels.colour_iris(target, clear, shown, usual, scene, *known, cells_of)
     exposure = fitted.exposure * found.gain ** fitted.fit.values["contrast"]
-    return Coloured(**vars(dataclasses.replace(fitted, exposure=exposure)), texels=found)
+    exposed = dataclasses.replace(fitted, exposure=exposure)
+    return Coloured(**vars(_with_white_as_seen(exposed)), texels=found)
+
+
+def tint_of_white(
+    white: Mask, radiance: Colours, view: View, scene: Scene
+) -> Float[np.ndarray, "3"]:
+    """Return the `Sclera.tint` with which the white of a scene is, in the median of some pixels, as
+    it is in a picture of radiances.
+    """
+    scene = scene.replace(camera=dataclasses.replace(scene.camera, images=jnp.asarray(0.0)))
+    tint, sclera = np.ones(3), scene.eye.sclera
+    assert sclera is not None
+    for _ in range(3):  # the channels of a picture overlap
+        eye = scene.eye.replace(sclera=dataclasses.replace(sclera, tint=tint))
+        tinted = scene.replace(eye=eye)
+        drawn = np.asarray(surroundings(view, texture(view, tinted), tinted))
+        drawn = drawn.T.reshape(radiance.shape)
+        tint = tint * np.median(radiance[white], axis=0) / np.median(drawn[white], axis=0)
+    return tint
 
 
 def sample_clone(fitted: Coloured, settings: CloneSettings, *, key: PRNGKey) -> Sampled:
@@ -677,9 +707,10 @@ def width_by_rendering(with_width: Callable[[float], Fitted]) -> float:
 
 
 def _eye_with(media: str) -> Eye:
-    if media.startswith("f09"):
-        return Eye().replace(cornea=Cornea.f09(), aqueous_index=1.376)
-    return Eye().replace(cornea=None) if media == "flat" else Eye()
+    if media == "flat":
+        return Eye().replace(cornea=None)
+    eye = Eye(sclera=Sclera(gloss=jnp.asarray(0.0)))  # a clone has no lids to hide images there
+    return eye.replace(cornea=Cornea.f09(), aqueous_index=1.376) if media.startswith("f09") else eye
 
 
 def _with_soft_edges(pose: Pose, outlines: Boundaries) -> Eye:
@@ -706,6 +737,31 @@ def _light_on_part(lit: Lit) -> np.ndarray | None:
     x, y = map(np.asarray, seen.point[:2])
     irradiance = irradiance_of_iris(x, y, lit.lighting.lights(), lit.pose.eye, lit.tables)
     return scatter_to_picture(seen, irradiance, lit.pose.camera.shape)
+
+
+def _white_seen(lit: Lit) -> WhiteSeen:
+    """What the white tells of exposure and light; nothing where it is burnt out."""
+    white, lights = lit.white, lit.lighting.lights()
+    if white is None or white.is_burnt or lit.photograph.grey:
+        return NO_WHITE
+    facing = lights.towards @ lit.pose.camera.axes()[0]
+    power = lights.irradiance * jnp.maximum(facing, 0.0) / np.pi
+    light = np.broadcast_to(np.asarray(lights.tint_factors.T @ power, np.float64), 3)
+    reflectance, root = white.median_and_root()
+    return WhiteSeen(white.sides.mean(0), reflectance, light, root)
+
+
+def _with_white_as_seen(fitted: Fitted) -> Fitted:
+    """The eye with a white as the photograph shows it: lids and lashes, which a clone has not,
+    shade it, and light for colours that the model cannot make is too strong for it.
+    """
+    pose, white = fitted.pose, fitted.white
+    if white is None or fitted.view.sclera is None or pose.eye.sclera is None:
+        return fitted
+    radiance = (fitted.unveiled() / fitted.exposure) ** (1 / fitted.fit.values["contrast"])
+    tint = tint_of_white(white.pixels, radiance, fitted.view, fitted.scene_with(None))
+    eye = pose.eye.replace(sclera=dataclasses.replace(pose.eye.sclera, tint=tint))
+    return dataclasses.replace(fitted, pose=pose._replace(eye=eye))
 
 
 def _thickness_by_model(

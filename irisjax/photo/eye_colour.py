@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 from scipy.cluster.vq import kmeans2
-from skimage import filters, measure
+from skimage import filters
 
 from irisjax._types import PRNGKey
 from irisjax.measure.colour import lab_of_srgb, srgb_encode
@@ -14,39 +14,19 @@ from irisjax.numerics.streams import words_of
 from irisjax.photo.clone import Outlined
 from irisjax.photo.masks import Part, cut_part, select_regions
 from irisjax.photo.photograph import Brightness, Colours, Ellipse, Mask
-from irisjax.photo.texture import LUMINANCE_WEIGHTS, masked_mean
+from irisjax.photo.texture import masked_mean
+from irisjax.photo.white import WhiteOfEye, angles_about, find_white
 
 RINGS = {"pupillary ring": (0.06, 0.28), "collarette": (0.28, 0.45), "ciliary ring": (0.45, 0.9)}
 """Inner and outer borders of the rings, shares of the way from the pupil to the limbus."""
 WHOLE_IRIS = "whole iris"
 _DRAWS = 2000
 
-# The white of people's eyes: logarithms of luminance, red over green and blue over green, linear
-# sRGB. The medians are L*a*b* = (80, 3.5, 8), half-way between this package's white (82, 1, 4; see
-# `irisjax.render.outside.bulk_reflectance`) and that of women's faces (a* 3.8 and b* 8.7 at L* 47,
-# which is 5.8 and 13 at L* 80; varied from 5.5 to 11.9 along its change with age) [J. Cosmet. Sci.
-# 73, 369, 2022]. Both lie within 95 %.
-_WHITE = np.log(0.567), 0.17, -0.14
-_WHITE_SD = 0.18, 0.12, 0.13
-_WHITE_CORRELATION = -0.6  # of the two ratios: yellower whites are redder
-# Light on a frontal sheet of paper at the eye's place over that on the white, which is turned aside
-# and shaded by the face, decided: logarithm and standard deviation, with both sides and with one.
-_TURNED_LIGHT, _TURNED_SD, _ONE_SIDE_SD = 0.15, 0.15, 0.3
-_TINT_SD = 0.03  # of the light's tint between iris and white where only one side is seen
-# Cameras that are not calibrated, decided: standard deviations of the logarithm of the contrast and
-# of the channels.
-_CONTRAST_SD, _CHANNEL_SD = 0.1, 0.03
+_CONTRAST_SD = 0.1  # of the logarithm, of cameras that are not calibrated, decided
 _VEIL_SD, _STEP = 0.4, 6e-4  # of the veil, relative and in steps of 8 bits near black
 _BLOCK = 64  # pixels of a JPEG's block, whose errors go together
 _SECTORS = 12
 
-_WHITE_RING = 1.08, 1.29  # radii between which the white is sought, relative to the limbus
-_ASIDE = 0.64  # cosine of the largest angle from the horizontal
-_BRIGHT, _REDDER = 0.5, 0.35  # of the white: least brightness, and most excess of ln R/B
-_GAP = 3  # px, half the width of vessels and lashes in it
-_LEAST_WHITE = 0.05, 40  # share of a side, and pixels
-_RED, _THAN_SKIN = 0.6, 0.3  # ln R/B: of a white without skin beside it; of skin above the white's
-_OVER_IRIS = 1.3  # least brightness of the white over the iris's
 _LEAST_IRIS = 0.05, 200  # visible share of the iris, and pixels
 _ALIKE, _SMALL = 4.0, 0.05  # distance and share below which dominant colours are one
 _LIGHTNESS = 0.5  # weight of L* in that distance: shades are no other colours
@@ -56,21 +36,7 @@ _LESS = 0.3  # quantile of a ring that no reflection reaches
 _SKIN = 0.1  # red over all channels, above the ring's
 _SHARP = 0.75  # share of a place that they fill: lit tissue fades
 _MIRRORED, _NEUTRAL = 0.1, 0.4  # their least light, relative to the white; least over most channel
-_BURNT, _VEILED, _HIDDEN = 0.3, 0.35, 0.6  # shares above which it is doubtful
-
-
-class WhiteOfEye(NamedTuple):
-    """The white of an eye in a photograph.
-
-    Attributes:
-        pixels: Pixels that show it.
-        sides: Linear colours to the left and to the right, of the sides that are seen.
-        burnt: Share of its pixels that may be cut off.
-    """
-
-    pixels: Mask
-    sides: Float[np.ndarray, "sides 3"]
-    burnt: float
+_VEILED, _HIDDEN = 0.35, 0.6  # shares above which it is doubtful
 
 
 class RegionColour(NamedTuple):
@@ -168,7 +134,7 @@ def measure_eye_colour(
     visible = iris & clear
     veil = _reflected_colour(part, pupil, visible)
     draws = _Draws.of(white, veil, random)
-    angle = _angles(part.outside.shape, part.limbus)
+    angle = angles_about(part.outside.shape, part.limbus)
     borders = {WHOLE_IRIS: (inner, outer), **RINGS}
     regions, samples = {}, {}
     for name, (low, high) in borders.items():
@@ -197,62 +163,6 @@ def depth_in_iris(shape: tuple[int, ...], pupil: Ellipse, limbus: Ellipse) -> Br
     return from_pupil / np.where(abs(total) < 1e-6, 1e-6, total)
 
 
-def find_white(
-    part: Part, limbus_width: float | None, iris: Float[np.ndarray, "pixels 3"]
-) -> WhiteOfEye:
-    """Find the white to the left and right of a limbus: bright, and less red than skin.
-
-    Args:
-        part: The part of a photograph about the limbus.
-        limbus_width: Width over which iris and white blend, relative to the limbus's radius.
-        iris: Linear colours of the iris.
-
-    Raises:
-        ValueError: If no white is seen.
-    """
-    shape, pixels = part.outside.shape, part.pixels
-    radius, angle = part.limbus.radii(shape), _angles(shape, part.limbus)
-    inner = max(_WHITE_RING[0], 1 + 0.6 * (limbus_width or 0))
-    around = (radius > inner) & (radius < max(_WHITE_RING[1], inner + 0.1)) & ~part.outside
-    beside = around & (abs(np.cos(angle)) > _ASIDE)
-    cut_off = np.asarray(ndimage.binary_dilation(part.saturated), bool)
-    luminance = pixels @ LUMINANCE_WEIGHTS
-    tint = np.log(np.maximum(pixels[..., 0], 1e-4) / np.maximum(pixels[..., 2], 1e-4))
-    usable, white = beside & ~cut_off, np.zeros(shape, bool)
-    message = "no white of the eye is seen beside the iris, by which the light could be corrected"
-    if not usable.any():
-        raise ValueError(message)
-    bright = usable & (luminance > _BRIGHT * np.quantile(luminance[usable], 0.9))
-    least_red = float(np.quantile(tint[bright], 0.2))
-    skin_red = float(np.quantile(tint[around & ~cut_off & (luminance > 0)], 0.9))
-    if least_red > _RED and skin_red - least_red < _THAN_SKIN:
-        raise ValueError(message)
-    least_luminance, sides = _OVER_IRIS * float(np.median(iris @ LUMINANCE_WEIGHTS)), []
-    for side in (np.cos(angle) < 0, np.cos(angle) > 0):
-        candidates = usable & side
-        if not candidates.any():
-            continue
-        chosen = candidates & (tint < least_red + _REDDER)
-        chosen &= luminance > _BRIGHT * np.quantile(luminance[candidates], 0.9)
-        chosen = _largest_part(chosen)
-        colour = np.median(pixels[chosen], axis=0) if chosen.any() else np.zeros(3)
-        is_enough = chosen.sum() > max(_LEAST_WHITE[0] * (beside & side).sum(), _LEAST_WHITE[1])
-        if is_enough and colour @ LUMINANCE_WEIGHTS > least_luminance:
-            sides.append(colour)
-            white |= chosen
-    if not sides:
-        raise ValueError(message)
-    burnt = (beside & part.saturated).sum()
-    return WhiteOfEye(white, np.array(sides, float), float(burnt / (burnt + white.sum())))
-
-
-def _largest_part(mask: Mask) -> Mask:
-    """The largest connected part of a mask, across thin gaps such as vessels, or nothing."""
-    label = np.asarray(measure.label(ndimage.binary_closing(mask, iterations=_GAP)))
-    sizes = np.bincount(label[mask], minlength=2)
-    return mask & (label == 1 + int(np.argmax(sizes[1:])))
-
-
 class _Draws(NamedTuple):
     """Random draws of what stands between a photograph's pixel and a colour.
 
@@ -269,25 +179,7 @@ class _Draws(NamedTuple):
     def of(cls, white: WhiteOfEye, veil: np.ndarray, random: np.random.Generator) -> "_Draws":
         normal = random.standard_normal((_DRAWS, 12))
         normal[0] = 0
-        log_ratio = np.log(white.sides[0] / white.sides[-1]) if len(white.sides) > 1 else None
-        if log_ratio is None:
-            light, tint = _ONE_SIDE_SD, np.full(3, _TINT_SD)
-        else:
-            mean = log_ratio @ LUMINANCE_WEIGHTS
-            light, tint = np.hypot(_TURNED_SD, 0.1 * mean), 0.35 * abs(log_ratio - mean)
-        # White: luminance, then red and blue over green.
-        second = _WHITE_CORRELATION * normal[:, 1]
-        second = second + np.sqrt(1 - _WHITE_CORRELATION**2) * normal[:, 2]
-        red, blue = (
-            np.exp(_WHITE[i] + _WHITE_SD[i] * z) for i, z in ((1, normal[:, 1]), (2, second))
-        )
-        white_colour = np.stack([red, np.ones(_DRAWS), blue], -1)
-        white_colour *= (
-            np.exp(_WHITE[0] + _WHITE_SD[0] * normal[:, :1])
-            / (white_colour @ LUMINANCE_WEIGHTS)[:, None]
-        )
-        log_light = light * normal[:, 3:4] - _TURNED_LIGHT
-        factor = white_colour * np.exp(log_light + np.hypot(tint, _CHANNEL_SD) * normal[:, 4:7])
+        factor = white.reflectances(normal[:, :7])
         contrast = np.exp(_CONTRAST_SD * normal[:, 7:8])
         veils = veil * (1 + _VEIL_SD * normal[:, 8:9]) + _STEP * normal[:, 9:12]
         return cls(white.sides.mean(0), factor, contrast, np.maximum(veils, 0))
@@ -401,7 +293,7 @@ def _find_hidden(
     # Lids are redder than the rest of a ring, above and below.
     tint = smooth[:, 0] / np.maximum(smooth.sum(-1), 1e-4)
     tint -= np.asarray(ndimage.median(tint, ring, np.arange(16)))[ring]
-    upright = abs(np.sin(_angles(visible.shape, limbus)[place])) > 0.6
+    upright = abs(np.sin(angles_about(visible.shape, limbus)[place])) > 0.6
     steps = np.zeros(visible.shape)
     steps[place] = (upright & (tint > _SKIN)).astype(int) * (1 + (depth[place] > 0.8))
     hidden |= filters.apply_hysteresis_threshold(steps, 0.5, 1.5)
@@ -417,13 +309,6 @@ def _reflected_colour(part: Part, pupil: Ellipse, visible: Mask) -> np.ndarray:
     return np.clip(np.quantile(part.pixels[inside], 0.25, axis=0), 0, np.maximum(darkest, 0))
 
 
-def _angles(shape: tuple[int, ...], outline: Ellipse) -> Brightness:
-    """Return the angle of every pixel about a middle, 0 to 2π, 0 to the right."""
-    row, column = np.ogrid[: shape[0], : shape[1]]
-    x, y = outline.centre
-    return np.arctan2(y - row, column - x) % (2 * np.pi)
-
-
 def _doubts(
     white: WhiteOfEye, veil: np.ndarray, iris: np.ndarray, hidden: float
 ) -> tuple[str, ...]:
@@ -433,7 +318,7 @@ def _doubts(
             "the white is seen on one side of the iris only, so that the light on the iris is less "
             "certain"
         )
-    if white.burnt > _BURNT:
+    if white.is_burnt:
         doubts.append(
             f"{100 * white.burnt:.0f} % of the white is overexposed: the iris may be darker than "
             "is said"

@@ -192,7 +192,7 @@ def log_posterior(z: Float[Array, " free"], windows: Windows, base: Iris) -> Sca
     """Return the logarithm of the posterior density of z (free,), without constants."""
     values = parameter_values(z)
     density = log_likelihood(*_log_ratios(values, windows, base), windows.present)
-    density -= 0.5 * ((z**2).sum() + (_error_of_exposure(values, windows) ** 2).sum())
+    density -= 0.5 * ((z**2).sum() + (_errors_of_light(values, windows) ** 2).sum())
     return jnp.where(jnp.isfinite(density), density, -jnp.inf)
 
 
@@ -236,13 +236,20 @@ def doubt_of_exposures(fit: PigmentFit) -> Float[np.ndarray, "3 3"]:
     return slope @ fit.covariance @ slope.T
 
 
+def mean_misfit(fit: PigmentFit, windows: Windows) -> float:
+    """Return the root mean square of ln photograph over model in the windows, over all channels
+    weighted by brightness.
+    """
+    weights = np.maximum(windows.colour[windows.present].mean(0), 0)
+    return float(np.sqrt(np.average(fit.rms**2, weights=weights + 1e-9)))
+
+
 def misfits(fit: PigmentFit, windows: Windows) -> list[str]:
     """Return sentences on where the model does not follow the photograph, or follows it only with
     values that hardly any eye has.
     """
     doubts = []
-    weights = np.maximum(windows.colour[windows.present].mean(0), 0)
-    if np.sqrt(np.average(fit.rms**2, weights=weights + 1e-9)) > _WINDOWS_OFF:
+    if mean_misfit(fit, windows) > _WINDOWS_OFF:
         doubts.append(
             "the model does not follow the photograph's colours (off by factors of "
             f"{', '.join(f'{f:.2f}' for f in np.exp(fit.rms))} in R, G, B over the iris, RMS): its "
@@ -259,6 +266,15 @@ def misfits(fit: PigmentFit, windows: Windows) -> list[str]:
     if not fit.converged:
         doubts.append("the search for the pigments did not converge")
     return doubts
+
+
+def strange_white(fit: PigmentFit, windows: Windows) -> float | None:
+    """Return how many times as bright as usual the white of the eye is in the light of the fit;
+    `None` if hardly any white is as unusual.
+    """
+    if np.abs(_errors_of_light(fit.values, windows)[:3]).max() < _UNUSUAL:
+        return None
+    return float(np.exp((np.log(windows.white.colour) - _log_white(fit.values, windows)).mean()))
 
 
 def simplex(
@@ -392,12 +408,21 @@ def _exposures(values):
     return values["exposure"] * jnp.stack([red, jnp.ones_like(red), blue])
 
 
-def _error_of_exposure(values, windows: Windows):
-    """Error of the exposure that mirror images tell, in standard deviations, (1,). A bound that is
-    kept is no error.
+def _errors_of_light(values, windows: Windows):
+    """Errors of the exposure that mirror images tell and of the colour of the white of the eye, in
+    standard deviations, (4,). A bound that is kept is no error.
     """
     error = (jnp.log(values["exposure"]) - jnp.log(windows.exposure)) / _EXPOSURE_SPREAD
-    return jnp.where(windows.at_least & (error > 0), 0.0, error)[None]
+    mirrored = jnp.where(windows.at_least & (error > 0), 0.0, error)
+    of_white = windows.white.root @ (_log_white(values, windows) - jnp.log(windows.white.colour))
+    return jnp.append(of_white, mirrored)
+
+
+def _log_white(values, windows: Windows):
+    """Logarithms of the values that the camera records of a usual white."""
+    room = 0.0 if windows.room is None else values["room"]
+    radiance = windows.white.reflectance * (windows.white.light + room)
+    return jnp.log(_exposures(values)) + values["contrast"] * jnp.log(radiance)
 
 
 def _log_ratios(values, windows: Windows, base: Iris):
@@ -433,7 +458,7 @@ def _searches(starts, windows, base, free: tuple[int, ...]):
         del weight  # the priors count in full
         values = parameter_values(all_of(moving))
         errors = whitened_errors(_log_ratios(values, windows, base)[0], windows.present, fixed)
-        return jnp.concatenate([errors, _error_of_exposure(values, windows), moving]), None
+        return jnp.concatenate([errors, _errors_of_light(values, windows), moving]), None
 
     def turn(moving, _):
         fixed = covariances(

@@ -74,6 +74,25 @@ class WindowPixels(NamedTuple):
     mirrored: _WindowColours
 
 
+class WhiteSeen(NamedTuple):
+    """What the white of the eye tells of exposure and light.
+
+    Attributes:
+        colour: Linear values in the photograph.
+        reflectance: Its usual colour where a white sheet that faces the camera has 1.
+        light: Radiance of such a sheet in the light without the room.
+        root: Inverse root of the covariance of the logarithms of the colour, (3, 3).
+    """
+
+    colour: Float[np.ndarray, "3"]
+    reflectance: Float[np.ndarray, "3"]
+    light: Float[np.ndarray, "3"]
+    root: Float[np.ndarray, "3 3"]
+
+
+NO_WHITE = WhiteSeen(np.ones(3), np.ones(3), np.ones(3), np.zeros((3, 3)))
+
+
 class Windows(eqx.Module):
     """Windows of one photograph: their mean colours, and the model's as a matrix.
 
@@ -92,6 +111,7 @@ class Windows(eqx.Module):
         aqueous_index: Refractive index of the aqueous humour.
         exposure: The photograph's exposure, as mirror images of wide lights tell it; 0 without.
         at_least: Whether the exposure may be more: these images are cut off, or there are none.
+        white: The white of the eye, whose `WhiteSeen.root` is 0 where none is seen.
     """
 
     colour: _WindowColours
@@ -106,6 +126,7 @@ class Windows(eqx.Module):
     aqueous_index: Scalar
     exposure: Float[np.ndarray, ""] = eqx.field(default_factory=lambda: np.zeros(()))
     at_least: Bool[np.ndarray, ""] = eqx.field(default_factory=lambda: np.ones((), bool))
+    white: WhiteSeen = eqx.field(default_factory=lambda: NO_WHITE)
 
     def radiance(self, iris: Iris, room: Scalar | float = 0.0) -> _Modelled:
         """Return the mean linear sRGB of an iris in each window, where a white sheet that faces an

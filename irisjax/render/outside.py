@@ -48,6 +48,7 @@ DEEPEST = 0.25
 
 # mm: below it the table's nodes are uniform, above it logarithmic, as the Soret band requires.
 _KNEE = 2e-3
+_TINTED = np.array([450.0, 550.0, 610.0])  # nm, middles of a picture's blue, green and red
 _WRAP = 0.3  # the white is translucent: light reaches 17° past the terminator, set by eye
 
 
@@ -72,13 +73,16 @@ def bulk_reflectance(sclera: Sclera, wavelengths: ArrayLike) -> Spectrum:
     blood and 0.6 % melanosomes. It absorbs by its capillaries, 0.07 % of its volume, and by
     `sclera.yellowing` times the pigment of a bloodless tissue. The reflectance is about 0.6, near
     the 0.5 of models of the fundus [Delori & Pflibsen 1989, Appl. Opt. 28, 1061]. Thicknesses and
-    shares are set by eye.
+    shares are set by eye. `sclera.tint` multiplies it.
     """
     scattering, blood = fibrous_scattering(wavelengths), blood_absorption(sclera, wavelengths)
     choroid = 0.05 * blood + 0.006 * melanosome_absorption(wavelengths)
     behind = diffuse_reflectance(choroid, scattering, inside=0.0)
     absorption = sclera.yellowing * bloodless_absorption(wavelengths) + 7e-4 * blood
-    return slab_reflectance(absorption, scattering, 1.1, behind)
+    reflectance = slab_reflectance(absorption, scattering, 1.1, behind)
+    if sclera.tint is None:
+        return reflectance
+    return reflectance * jnp.interp(jnp.asarray(wavelengths), _TINTED, sclera.tint[::-1])
 
 
 def veil(wavelengths: ArrayLike, thickness: float) -> Spectrum:

@@ -278,6 +278,8 @@ def trace_tear_film(index: Array, eye: Eye, camera: Camera) -> MirrorPixels:
     surface, direction, reflectance = _tear_film(index, eye, camera)
     mirror = parts(reflect_vector(direction, surface.normal))
     share = jnp.where(surface.hit, reflectance, 0.0)
+    if eye.sclera is not None:
+        share *= 1 - (1 - eye.sclera.gloss) * surface.blend
     return MirrorPixels(index, parts(surface.point), mirror, share)
 
 

@@ -23,7 +23,7 @@ from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pigments import FREE_NAMES, PRIORS, PigmentFit, PigmentPosterior
 from irisjax.photo.texture import follow_refraction
 from irisjax.photo.thickness import Morphology
-from irisjax.photo.windows import Windows
+from irisjax.photo.windows import WhiteSeen, Windows
 
 DATA = Path(__file__).parent.parent.parent / "data" / "photographs"
 NAME = "green_tilted.jpg"
@@ -245,7 +245,9 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
         reason=reason,
     )
     windows, found = object.__new__(Windows), object.__new__(cloning.Sampled)
-    for name, value in (("colour", np.ones((4, 3))), ("present", np.ones(4, bool))):
+    white = WhiteSeen(np.full(3, 0.1), np.full(3, 0.5), np.ones(3), np.eye(3) / 0.2)
+    parts = {"colour": np.ones((4, 3)), "present": np.ones(4, bool), "white": white, "room": None}
+    for name, value in (parts | {"exposure": np.zeros(()), "at_least": np.array(True)}).items():
         object.__setattr__(windows, name, value)
     vars(found).update(
         photograph=SimpleNamespace(grey=True, shape=(900, 1200)),
@@ -279,6 +281,7 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
         "did not converge",
         "differs from the photograph by 6.0, 4.0, 3.0 % RMS",
         "need 4 times the exposure that its brightness tells",
+        "white of the eye is 0.2 times as bright as it would usually be",
         "20 % of the iris has colours that the model cannot make",
         f"{reason}; raise --max-steps",
     ):

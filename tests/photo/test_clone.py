@@ -1,6 +1,6 @@
 """Stages of a clone: the texture, its thickness against the truth, and a second photograph."""
 
-from dataclasses import replace
+import dataclasses
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,12 +12,23 @@ from scipy.ndimage import rotate, zoom
 from experiments.clone_truth import correlation, true_thickness
 from irisjax.io.photographs import read_photograph
 from irisjax.photo import clone as cloning
-from irisjax.photo.clone import CloneSettings, Given, clone_eye, outline_eye, pose_eye
+from irisjax.photo.clone import (
+    CloneSettings,
+    Given,
+    clone_eye,
+    outline_eye,
+    pose_eye,
+    tint_of_white,
+)
 from irisjax.photo.edges import reduce_picture
 from irisjax.photo.masks import cut_part, find_mirrored_face
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.texture import follow_refraction, unrefract
 from irisjax.photo.thickness import shape_maps
+from irisjax.render.lights import Lights
+from irisjax.render.picture import draw
+from irisjax.render.scene import Scene
+from irisjax.tissue.iris import Iris
 
 PHOTOGRAPHS = Path(__file__).parent.parent.parent / "data" / "photographs"
 SETTINGS = CloneSettings()
@@ -71,6 +82,17 @@ def test_a_pupil_fades_about_its_outline_as_wide_as_the_photograph_is_blurred(po
         assert middle == pytest.approx(outline * (1 + margin / 2), rel=1e-5)
 
 
+def test_the_tint_of_a_white_comes_back(posed):
+    """From a picture of it, across the wavelengths of its channels."""
+    scene = Scene(
+        Iris(), eye=posed.pose.eye, lights=Lights.distant(0.4, 1.0), camera=posed.pose.camera
+    )
+    tinted = dataclasses.replace(scene.eye.sclera, tint=np.array([0.3, 0.25, 0.2]))
+    picture = np.asarray(draw(scene.replace(eye=scene.eye.replace(sclera=tinted))))
+    found = tint_of_white(posed.white.pixels, picture, posed.view, scene)
+    np.testing.assert_allclose(found, tinted.tint, rtol=2e-3)
+
+
 def test_a_flat_picture_is_not_unrefracted(outlined, posed):
     """Its pupil is as large as it appears, and nothing is mirrored; a cornea magnifies by 1.13."""
     found = pose_eye(outlined, CloneSettings(media="flat"))
@@ -87,7 +109,9 @@ def test_thickness_of_a_photographed_iris_comes_back(alone):
 
     def score(**options):
         made = partial(shape_maps, alone.texture, shaped.freckles, **options)
-        return correlation(replace(shaped, estimate=made), truth.thickness, truth.used)[0]
+        return correlation(dataclasses.replace(shaped, estimate=made), truth.thickness, truth.used)[
+            0
+        ]
 
     paper, ours = score(), score(response=0.6, sigma_mm=0.0)
     assert 0 < paper < ours

@@ -4,10 +4,11 @@ import jax
 import numpy as np
 import pytest
 
-from irisjax.photo.eye_colour import RINGS, depth_in_iris, find_white, measure_eye_colour
+from irisjax.photo.eye_colour import RINGS, depth_in_iris, measure_eye_colour
 from irisjax.photo.masks import Part
 from irisjax.photo.overlay import draw_colours
 from irisjax.photo.photograph import Ellipse
+from irisjax.photo.white import find_white
 
 SIZE, RADIUS = 200, 70.0
 LIMBUS = Ellipse((99.5, 99.5), (RADIUS, RADIUS))

@@ -24,7 +24,9 @@ from irisjax.photo.pigments import (
     predicted_colours,
     sample_pigments,
     simplex,
+    strange_white,
 )
+from irisjax.photo.windows import WhiteSeen
 from irisjax.tissue.iris import Iris
 
 # Standard normal numbers; what is not named, the room, is at the prior's median.
@@ -156,6 +158,30 @@ def test_mirror_images_tell_the_exposure_or_how_much_it_is_at_least(windows, fit
     else:
         assert 0.4 * exposure < less.values["exposure"] < exposure
         assert less.covariance[at, at] < 0.5 * spread
+
+
+def test_the_white_of_the_eye_tells_exposure_and_balance(windows, fit):
+    """As closely as its usual colour is known; where both disagree widely, that is doubted."""
+    true = {name: float(value) for name, value in parameter_values(TRUE).items()}
+    names = "exposure", "red_gain", "blue_gain"
+
+    def with_white(factor, sd):
+        usual, light = np.array([0.6, 0.5, 0.4]), np.full(3, 0.9)
+        gains = np.array([true["red_gain"], 1, true["blue_gain"]])
+        lit = (usual * (light + true["room"])) ** true["contrast"]
+        white = WhiteSeen(true["exposure"] * gains * lit * factor, usual, light, np.eye(3) / sd)
+        return dataclasses.replace(windows, white=white)
+
+    told = fit_pigments(with_white(1.0, 0.05), BASE)
+    for name in names:
+        i = FREE_NAMES.index(name)
+        assert abs(told.z[i] - TRUE[i]) < 2.5 * np.sqrt(told.covariance[i, i])
+        assert told.covariance[i, i] < 0.8 * fit.covariance[i, i]
+    assert strange_white(told, windows) is None
+    brighter = fit_pigments(with_white(np.array([1.6, 1.5, 1.5]), 0.05), BASE)
+    assert brighter.values["exposure"] > 1.2 * told.values["exposure"]
+    assert brighter.values["red_gain"] > 1.02 * told.values["red_gain"]
+    assert strange_white(told, with_white(0.2, 0.3)) == pytest.approx(0.2, rel=0.1)
 
 
 def test_exposures_take_up_brightness_that_other_maps_change_and_no_tint(windows, fit):

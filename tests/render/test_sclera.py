@@ -8,6 +8,7 @@ from irisjax.anatomy.eye import Eye, Sclera
 from irisjax.anatomy.sclera import limbus_depth, meet_sclera, sclera_centre, vein_place
 from irisjax.grow.vessels import veins
 from irisjax.measure.colour import colour_of, tristimulus_matrix
+from irisjax.render.camera import Camera
 from irisjax.render.outside import (
     DEEPEST,
     SHALLOW,
@@ -18,6 +19,7 @@ from irisjax.render.outside import (
     sclera_reflectance,
     veil,
 )
+from irisjax.render.project import project
 from irisjax.tissue.diffusion import slab_reflectance
 
 GRID = np.arange(380.0, 781.0, 5.0)
@@ -59,6 +61,23 @@ def test_yellowing_takes_blue_from_the_white():
     whites = (bulk_reflectance(Sclera(yellowing=y), GRID) for y in (0.0, 1.0, 4.0))
     child, usual, old = (float(colour_of(GRID, white).lab[2]) for white in whites)
     assert child < 0 < usual < 6 < old
+
+
+def test_a_tint_multiplies_the_reflectance():
+    tinted = bulk_reflectance(Sclera(tint=jnp.array([1.2, 1.0, 0.7])), GRID)
+    share = np.asarray(tinted / bulk_reflectance(Sclera(), GRID))
+    at = np.searchsorted(GRID, [450.0, 500.0, 550.0, 610.0, 700.0])
+    np.testing.assert_allclose(share[at], [0.7, 0.85, 1.0, 1.2, 1.2], rtol=1e-6)
+
+
+def test_the_white_mirrors_as_much_as_its_gloss():
+    camera = Camera(size=(48, 32))
+    full, half = (
+        np.asarray(project(Eye(sclera=Sclera(gloss=gloss)), camera).mirror.reflectance)
+        for gloss in (1.0, 0.5)
+    )
+    share = (half / full).reshape(32, 48)
+    np.testing.assert_allclose([share[16, 24], share[16, 2]], [1, 0.5], rtol=1e-6)
 
 
 def test_thick_vein_is_dark_red():
