@@ -14,9 +14,17 @@ from tqdm import tqdm
 from experiments.clone_truth import scattering_of
 from experiments.common import RESULTS, start, write
 from experiments.simulated_eyes import read_back
+from experiments.simulated_photographs import outline
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.presets import PRESETS
-from irisjax.photo.clone import CloneSettings, Sampled, clone_eye, compare_with_photograph
+from irisjax.photo.clone import (
+    NOTHING,
+    CloneSettings,
+    Given,
+    Sampled,
+    clone_eye,
+    compare_with_photograph,
+)
 from irisjax.photo.doubts import doubts_of
 from irisjax.photo.pigments import mean_misfit
 from irisjax.render.camera import Camera
@@ -29,8 +37,8 @@ from irisjax.tissue.maps import IrisMaps, cell_centres
 SIZE, WIDTH = 640, 14.0
 """Side of a picture in pixels, and width of the field that it shows in mm."""
 EYE = Eye().replace(pupil_radius=1.7)
-CONTRASTS = (1.0, 1.5, 2.0)
-"""Powers of the maps of pigments and thickness."""
+CONTRASTS = (1.0, 1.5, 2.0, 3.0)
+"""Powers of the maps of pigments and thickness; above 2 the outlines are given."""
 COLUMNS = ("preset", "contrast", "parameter", "truth", "q2.5", "median", "q97.5")
 PICTURES = ("preset", "contrast", "doubts", "windows_rms")
 PICTURES += tuple(f"{p}_{c}" for p in ("rms", "pigments") for c in "rgb")
@@ -45,7 +53,10 @@ def main(key, quick=False, out=RESULTS):
     for colour, contrast in tqdm(eyes[: 1 if quick else None], unit="eye", disable=quick):
         iris, maps = PRESETS[colour](EYE, key=key)
         maps = _raised(maps, contrast)
-        *_, found = clone_eye(_photographed(iris, maps), CloneSettings(), key=key)
+        scene = _scene(iris, maps)
+        picture = read_back(np.concatenate([b.pixels for b in draw_bands(scene, samples=2)]))
+        given = _outlines(scene) if contrast > 2 else NOTHING
+        *_, found = clone_eye(picture, CloneSettings(), given, key=key)
         assert isinstance(found, Sampled)
         difference = compare_with_photograph(found)
         doubts = len(doubts_of(found, difference.rms_of_pigments))
@@ -72,11 +83,16 @@ def _raised(maps: IrisMaps, power: float) -> IrisMaps:
     return maps.replace(**{name: raised(value) for name, value in held.items()})
 
 
-def _photographed(iris: Iris, maps: IrisMaps):
-    """The picture of an iris in the studio, as read from a file of 8 bits."""
+def _scene(iris: Iris, maps: IrisMaps) -> Scene:
+    """An iris in the studio."""
     camera = Camera(width=jnp.asarray(WIDTH), size=(SIZE, SIZE))
-    scene = Scene(iris, maps, EYE, None, Environment.studio(), camera)
-    return read_back(np.concatenate([band.pixels for band in draw_bands(scene, samples=2)]))
+    return Scene(iris, maps, EYE, None, Environment.studio(), camera)
+
+
+def _outlines(scene: Scene) -> Given:
+    limbus, _ = outline(scene, float(scene.eye.limbus_radius), pupil=False)
+    pupil, _ = outline(scene, float(scene.eye.pupil_radius), pupil=True)
+    return Given(limbus, pupil)
 
 
 def _truth(iris: Iris, maps: IrisMaps, found: Sampled) -> dict[str, float]:

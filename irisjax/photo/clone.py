@@ -740,9 +740,11 @@ def _light_on_part(lit: Lit) -> np.ndarray | None:
 
 
 def _white_seen(lit: Lit) -> WhiteSeen:
-    """What the white tells of exposure and light; nothing where it is burnt out."""
+    """What the white tells of exposure and light; nothing where it is burnt out or a channel of it
+    is black.
+    """
     white, lights = lit.white, lit.lighting.lights()
-    if white is None or white.is_burnt or lit.photograph.grey:
+    if white is None or white.is_burnt or white.sides.min() <= 0 or lit.photograph.grey:
         return NO_WHITE
     facing = lights.towards @ lit.pose.camera.axes()[0]
     power = lights.irradiance * jnp.maximum(facing, 0.0) / np.pi
