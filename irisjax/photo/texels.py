@@ -81,7 +81,8 @@ class OwnPigments(NamedTuple):
         iris: The iris that the maps are relative to: their medians.
         maps: Thickness of the stroma, eumelanin, pheomelanin and residual.
         deviations: Standard deviations of the logarithms of `NAMES`, (3, angles, radii): by the
-            photograph's noise, the prior of the neighbourhood and the doubt about the exposures.
+            photograph's noise, the prior about the fitted iris and about the neighbourhood, and the
+            doubt about the exposures.
         common: The part of `deviations` that is by the exposures, median of all texels: an error
             that they have in common.
         correlation: Median correlation of the errors of each pair of `NAMES`, (3, 3).
@@ -149,13 +150,15 @@ class Local(NamedTuple):
 
     Attributes:
         logs: Logarithms of the factors `NAMES`; at pixels that do not count filled from beside.
-        covariance: Of the logarithms; 0 elsewhere.
+        covariance: Of the logarithms; elsewhere as beside.
+        before: That of the prior: of the coarser level, and of what differs from it.
         common: The variances in it that are by the exposures.
         off: Model less photograph, encoded; 0 elsewhere.
     """
 
     logs: Float[np.ndarray, "rows columns 3"]
     covariance: Float[np.ndarray, "rows columns 3 3"]
+    before: Float[np.ndarray, "rows columns 3 3"]
     common: Float[np.ndarray, "rows columns 3"]
     off: Float[np.ndarray, "rows columns 3"]
 
@@ -216,7 +219,7 @@ def colour_iris(
     factors = factors_within_table(scene)
     gain, coarsest = find_gain(levels[-1], respond(factors), exposure)
     response = respond(ranges_about(coarsest, levels[-1].known, factors))
-    local = solve_levels(levels, response, exposure, gain, doubt)
+    local = solve_levels(levels, response, exposure, gain)
     middle = np.median(local.logs[known], axis=0)
     iris = moved_iris(iris, np.exp(middle))
 
@@ -247,7 +250,8 @@ def colour_iris(
     ends = [f(logs, axis=(1, 2), keepdims=True) for f in (np.min, np.max)]
     ranges = scale_ranges(iris, maps_of(logs))
     response = respond(ranges, scene.replace(iris=iris))
-    local = polish(levels[0], local.logs - middle, response, exposure, gain, doubt)
+    near = local._replace(logs=local.logs - middle)
+    local = polish(levels[0], near, response, exposure, gain, doubt)
     logs = np.clip(polar(local.logs, known), *ends)
     off, encoded = local.off[known], (np.maximum(target * exposure, 0) + _DARK)[known] ** _POWER
     explained = 1 - (off**2).sum() / ((encoded - encoded.mean(0)) ** 2).sum()
@@ -326,27 +330,28 @@ def solve_levels(
     response: TexelResponse,
     exposure: Float[np.ndarray, "3"],
     gain: float,
-    doubt: Float[np.ndarray, "3 3"],
 ) -> Local:
     """Solve all levels, the coarsest first, each near the numbers of the coarser one. Edges stay: a
     photograph outweighs a prior of this width wherever it shows them.
     """
     local = _coarsest(levels[-1], response, exposure, gain)
     for level, steps in zip(reversed(levels[:-1]), _STEPS[1:], strict=True):
-        local = _level(level, local.logs, response, exposure, gain, steps, doubt=doubt)
+        near = _enlarged(local, level.known.shape)
+        local = _level(level, near, response, exposure, gain, steps)
     return local
 
 
 def polish(
     level: Seen,
-    logs: np.ndarray,
+    near: Local,
     response: TexelResponse,
     exposure: Float[np.ndarray, "3"],
     gain: float,
     doubt: Float[np.ndarray, "3 3"],
 ) -> Local:
     """Solve the finest level once more, by another table, from numbers that are close."""
-    return _level(level, logs, response, exposure, gain, _POLISH, doubt=doubt)
+    numbers = near.logs, near.before
+    return _level(level, numbers, response, exposure, gain, _POLISH, doubt=doubt)
 
 
 def ranges_about(local: Local, known: Mask, factors: Scales = FACTORS) -> Scales:
@@ -372,12 +377,23 @@ def _coarsest(level: Seen, response: TexelResponse, exposure, gain: float) -> Lo
     low, high = np.log(np.asarray(response.spans())).T
     draws = qmc.Sobol(3, scramble=False).random_base2(_COLOURS)
     candidates = jnp.asarray(low + (high - low) * draws, jnp.float32).T
-    return _level(level, level.logs, response, exposure, gain, _STEPS[0], _PRIOR, candidates)
+    near = level.logs, np.broadcast_to(_PRIOR**2 * np.eye(3), (*level.known.shape, 3, 3))
+    return _level(level, near, response, exposure, gain, _STEPS[0], _PRIOR, candidates)
+
+
+def _enlarged(local: Local, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """The logarithms of a coarser level, and their covariance as a prior of the next finer one."""
+
+    def enlarged(values: np.ndarray) -> np.ndarray:
+        return map_channels(values, lambda c: c.resize(shape[::-1], Image.Resampling.BILINEAR))
+
+    covariance = enlarged(local.covariance.reshape(*local.covariance.shape[:2], 9))
+    return enlarged(local.logs), covariance.reshape(*shape, 3, 3) + _FINER**2 * np.eye(3)
 
 
 def _level(
     level: Seen,
-    near: np.ndarray,
+    near: tuple[np.ndarray, np.ndarray],
     response: TexelResponse,
     exposure: np.ndarray,
     gain: float,
@@ -386,15 +402,16 @@ def _level(
     candidates: Array | None = None,
     doubt: np.ndarray | None = None,
 ) -> Local:
-    """Solve the pixels of a level about the numbers of another one; the search begins there too, or
-    at the best of those that are `tried`.
+    """Solve the pixels of a level about the numbers of another one, which are `near` with their
+    covariance as a prior; the search begins there too, or at the best of the candidates.
     """
     known, tints = level.known, level.light.shape[-1] // response.coefficients.shape[1]
-    near = map_channels(near, lambda c: c.resize(known.shape[::-1], Image.Resampling.BILINEAR))
+    logs, before = near
     exposed_target = level.target * np.asarray(exposure, np.float32)
     noise = max(_noise(exposed_target, known), _NOISE)
     exposed = jnp.asarray(exposure * gain, jnp.float32)
-    parts = near[known], (level.target / np.float32(gain))[known], level.light[known]
+    parts = logs[known], (level.target / np.float32(gain))[known], level.light[known]
+    parts += (before[known],)
     brightest = np.quantile(exposed_target[known], 0.99, axis=0)
     table_error = jnp.asarray(response.error * brightest, jnp.float32)
     doubts = jnp.asarray(np.zeros((3, 3)) if doubt is None else doubt, jnp.float32)
@@ -409,7 +426,8 @@ def _level(
     pictures: list[Any] = [np.zeros((*known.shape, *r.shape[1:]), np.float32) for r in results]
     for picture_of, values in zip(pictures, results, strict=True):
         picture_of[known] = values
-    return Local(fill_holes(pictures[0], ~known), *pictures[1:])
+    logs, covariance = (fill_holes(picture_of, ~known) for picture_of in pictures[:2])
+    return Local(logs, covariance, before, *pictures[2:])
 
 
 @eqx.filter_jit
@@ -451,7 +469,7 @@ def _solved(degrees: tuple[int, ...], tints: int, settings, rows):
     colours = None if candidates is None else response(polynomials(candidates)[0])
 
     def solve(pixels):
-        centre, target, light = pixels
+        centre, target, light, before = pixels
         wanted, light = encoded(target), light.reshape(tints, -1, light.shape[-1])
         # The error of the table counts most where the encoding is steep: in the dark.
         weight = 1 / (noise**2 + (_POWER * wanted ** (1 - 1 / _POWER) * table_error[:, None]) ** 2)
@@ -521,7 +539,8 @@ def _solved(degrees: tuple[int, ...], tints: int, settings, rows):
         firm = _inverse(information + (1 / _PRIOR**2 - prior) * eye)
         moved = total(f[:, None] * p for f, p in zip(firm, pull, strict=True))
         common = total(moved[:, None, c] * (doubts[c][:, None] * moved).sum(1) for c in range(3))
-        return z, _inverse(information) + common, jnp.einsum("iip->ip", common), error
+        known = _inverse(information - prior * eye + _inverse(before))
+        return z, known + common, jnp.einsum("iip->ip", common), error
 
     results = map_chunks(solve, tuple(jnp.moveaxis(r, 0, -1) for r in rows))
     return tuple(jnp.moveaxis(f, -1, 0) for f in results)
