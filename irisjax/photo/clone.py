@@ -57,6 +57,7 @@ from irisjax.photo.windows import (
     make_windows,
     ring_radius,
 )
+from irisjax.render.camera import CAMERA_LIMITS
 from irisjax.render.environment import LUMINANCE, Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrators import refine_table
@@ -306,10 +307,11 @@ class Fitted(Lit):
 
     def _images(self) -> float:
         """Return the share of what the tear film mirrors with which it is as bright as in the
-        photograph; at most 1.
+        photograph.
         """
         if self.lighting.exposure is not None:
-            return min(float((self.lighting.exposure / self.exposure).mean()), 1.0)
+            share = float((self.lighting.exposure / self.exposure).mean())
+            return min(share, CAMERA_LIMITS["images"].high)
         veil, bright = float((self.veil / self.exposure).mean()), self._bright()
         return min(veil, bright) / max(bright, 1e-9)
 

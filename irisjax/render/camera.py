@@ -18,7 +18,7 @@ CAMERA_LIMITS = {
     "distance": Range(30, 1e5, "mm"),
     "width": Range(0.1, 100, "mm"),
     "polar": Range(0, 3.15),
-    "images": Range(0, 1),
+    "images": Range(0, 10),
 }
 """Allowed range of each number of a camera."""
 MAX_SIDE = 16384
@@ -38,7 +38,8 @@ class Camera(eqx.Module):
         size: Width and height of the picture, pixels.
         first: First row of a band of the picture, see `crop_rows`.
         rows: Number of rows of the band; `None` for the whole picture.
-        images: Share of the images in the tear film that it receives: 0 through crossed polarisers.
+        images: Share of the images in the tear film that it receives: 0 through crossed polarisers;
+            above 1 for pictures that show them brighter than they are.
 
     Raises:
         ValueError: A number is out of range.
