@@ -67,7 +67,8 @@ PIGMENT_UNITS = dict.fromkeys(FREE_NAMES, "") | dict.fromkeys(CONCENTRATIONS, "m
 PIGMENT_UNITS["hemoglobin"] = "mmol/l"
 # RMS of ln photograph over model in the windows above which a fit is doubtful, channels weighted by
 # brightness: presets with maps of twice the contrast reach 0.32, and their intervals hold as often;
-# with three times they reach 0.57, and melanin and scattering are too low (experiments/clone_presets).
+# with three times they reach 0.57, and melanin and scattering are too low
+# (experiments/clone_presets.py).
 _WINDOWS_OFF = 0.33
 _UNUSUAL = 3.0  # standard deviations of its prior beyond which a parameter is doubtful
 _STEPS = 60, 50  # most of a turn of least squares, and of a stage of the simplex

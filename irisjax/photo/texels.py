@@ -381,11 +381,13 @@ def _coarsest(level: Seen, response: TexelResponse, exposure, gain: float) -> Lo
     return _level(level, near, response, exposure, gain, _STEPS[0], _PRIOR, candidates)
 
 
-def _enlarged(local: Local, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+def _enlarged(local: Local, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """The logarithms of a coarser level, and their covariance as a prior of the next finer one."""
 
+    size = shape[1], shape[0]
+
     def enlarged(values: np.ndarray) -> np.ndarray:
-        return map_channels(values, lambda c: c.resize(shape[::-1], Image.Resampling.BILINEAR))
+        return map_channels(values, lambda c: c.resize(size, Image.Resampling.BILINEAR))
 
     covariance = enlarged(local.covariance.reshape(*local.covariance.shape[:2], 9))
     return enlarged(local.logs), covariance.reshape(*shape, 3, 3) + _FINER**2 * np.eye(3)
