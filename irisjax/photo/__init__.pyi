@@ -25,7 +25,6 @@ from .doubts import Doubt as Doubt
 from .doubts import doubts_of as doubts_of
 from .eye_colour import EyeColour as EyeColour
 from .eye_colour import RegionColour as RegionColour
-from .eye_colour import WhiteOfEye as WhiteOfEye
 from .eye_colour import colours_of as colours_of
 from .eye_colour import measure_eye_colour as measure_eye_colour
 from .light import Lighting as Lighting
@@ -36,3 +35,4 @@ from .pigments import Estimate as Estimate
 from .pigments import PigmentPosterior as PigmentPosterior
 from .pose import Pose as Pose
 from .texels import OwnPigments as OwnPigments
+from .white import WhiteOfEye as WhiteOfEye
