@@ -18,7 +18,7 @@ from jaxtyping import ArrayLike, Bool, Float
 from scipy import optimize
 
 from irisjax._types import PRNGKey
-from irisjax.anatomy.eye import Cornea, Eye, Sclera
+from irisjax.anatomy.eye import EYE_LIMITS, Cornea, Eye, Sclera
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_known
 from irisjax.photo import pigments, texels
@@ -86,6 +86,7 @@ _SATURATION = 0.95  # of the blood, as in the choroid and in the presets
 _BLUR_WIDTHS = Range(0.05, 2.0, "mm")  # widths of the deconvolution that are compared
 _BLUR_STEPS, _BLUR_TOLERANCE = 7, 0.1  # number of first trials; tolerance of the logarithm
 
+_LEAST_DRAWN = 1e-9  # radiance of a white
 _BLUR_OF_PIXELS = 3.0  # width of a smoothstep that is as wide as a Gaussian of 0.67 pixels
 _Arc = Float[np.ndarray, " count"]
 
@@ -307,7 +308,7 @@ class Fitted(Lit):
 
     def _images(self) -> float:
         """Return the share of what the tear film mirrors with which it is as bright as in the
-        photograph.
+        photograph, at most what a camera may have.
         """
         if self.lighting.exposure is not None:
             share = float((self.lighting.exposure / self.exposure).mean())
@@ -644,7 +645,7 @@ def tint_of_white(
     white: Mask, radiance: Colours, view: View, scene: Scene
 ) -> Float[np.ndarray, "3"]:
     """Return the `Sclera.tint` with which the white of a scene is, in the median of some pixels, as
-    it is in a picture of radiances.
+    it is in a picture of radiances; at most the largest there is, where hardly any light falls.
     """
     scene = scene.replace(camera=dataclasses.replace(scene.camera, images=jnp.asarray(0.0)))
     tint, sclera = np.ones(3), scene.eye.sclera
@@ -654,7 +655,8 @@ def tint_of_white(
         tinted = scene.replace(eye=eye)
         drawn = np.asarray(surroundings(view, texture(view, tinted), tinted))
         drawn = drawn.T.reshape(radiance.shape)
-        tint = tint * np.median(radiance[white], axis=0) / np.median(drawn[white], axis=0)
+        seen, drawn = (np.median(picture[white], axis=0) for picture in (radiance, drawn))
+        tint = np.minimum(tint * seen / np.maximum(drawn, _LEAST_DRAWN), EYE_LIMITS["tint"].high)
     return tint
 
 

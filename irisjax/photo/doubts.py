@@ -62,11 +62,11 @@ def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tup
     own = found.texels if isinstance(found, Coloured) else None
     model: list[str] = []
     if isinstance(found, Fitted):
-        if (ratio := pigments.strange_white(found.fit, found.windows)) is not None:
+        if (ratios := pigments.strange_white(found.fit, found.windows)) is not None:
             said = (
-                f"the white of the eye is {ratio:.2g} times as bright as it would usually be in "
-                "the light of the iris: a tone curve, or light that is not as inferred; give "
-                "--light or --environment"
+                f"the white of the eye is {', '.join(f'{r:.2g}' for r in ratios)} times (R, G, B) "
+                "what it usually is in the light of the iris: a tone curve, or light that is not "
+                "as inferred; give --light or --environment"
             )
             doubts.append(Doubt("light", said))
         if found.photograph.grey:

@@ -270,13 +270,13 @@ def misfits(fit: PigmentFit, windows: Windows) -> list[str]:
     return doubts
 
 
-def strange_white(fit: PigmentFit, windows: Windows) -> float | None:
-    """Return how many times as bright as usual the white of the eye is in the light of the fit;
-    `None` if hardly any white is as unusual.
+def strange_white(fit: PigmentFit, windows: Windows) -> Float[np.ndarray, "3"] | None:
+    """Return the colour of the white of the eye over that of a usual one in the light of the fit;
+    `None` if it is not unusual.
     """
     if np.abs(_errors_of_light(fit.values, windows)[:3]).max() < _UNUSUAL:
         return None
-    return float(np.exp((np.log(windows.white.colour) - _log_white(fit.values, windows)).mean()))
+    return windows.white.colour / np.exp(np.asarray(_log_white(fit.values, windows)))
 
 
 def simplex(

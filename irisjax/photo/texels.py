@@ -10,6 +10,7 @@ with the photograph's own light. What it cannot say stays as a map of its own.
 import functools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -150,7 +151,7 @@ class Local(NamedTuple):
 
     Attributes:
         logs: Logarithms of the factors `NAMES`; at pixels that do not count filled from beside.
-        covariance: Of the logarithms; elsewhere as beside.
+        covariance: Of the logarithms; 0 elsewhere.
         before: That of the prior: of the coarser level, and of what differs from it.
         common: The variances in it that are by the exposures.
         off: Model less photograph, encoded; 0 elsewhere.
@@ -335,8 +336,9 @@ def solve_levels(
     photograph outweighs a prior of this width wherever it shows them.
     """
     local = _coarsest(levels[-1], response, exposure, gain)
-    for level, steps in zip(reversed(levels[:-1]), _STEPS[1:], strict=True):
-        near = _enlarged(local, level.known.shape)
+    finer = zip(pairwise(reversed(levels)), _STEPS[1:], strict=True)
+    for (coarser, level), steps in finer:
+        near = _enlarged(local, coarser.known, level.known.shape)
         local = _level(level, near, response, exposure, gain, steps)
     return local
 
@@ -381,15 +383,14 @@ def _coarsest(level: Seen, response: TexelResponse, exposure, gain: float) -> Lo
     return _level(level, near, response, exposure, gain, _STEPS[0], _PRIOR, candidates)
 
 
-def _enlarged(local: Local, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+def _enlarged(local: Local, known: Mask, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
     """The logarithms of a coarser level, and their covariance as a prior of the next finer one."""
-
     size = shape[1], shape[0]
 
     def enlarged(values: np.ndarray) -> np.ndarray:
         return map_channels(values, lambda c: c.resize(size, Image.Resampling.BILINEAR))
 
-    covariance = enlarged(local.covariance.reshape(*local.covariance.shape[:2], 9))
+    covariance = enlarged(fill_holes(local.covariance, ~known).reshape(*known.shape, 9))
     return enlarged(local.logs), covariance.reshape(*shape, 3, 3) + _FINER**2 * np.eye(3)
 
 
@@ -428,8 +429,7 @@ def _level(
     pictures: list[Any] = [np.zeros((*known.shape, *r.shape[1:]), np.float32) for r in results]
     for picture_of, values in zip(pictures, results, strict=True):
         picture_of[known] = values
-    logs, covariance = (fill_holes(picture_of, ~known) for picture_of in pictures[:2])
-    return Local(logs, covariance, before, *pictures[2:])
+    return Local(fill_holes(pictures[0], ~known), pictures[1], before, *pictures[2:])
 
 
 @eqx.filter_jit

@@ -281,7 +281,7 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
         "did not converge",
         "differs from the photograph by 6.0, 4.0, 3.0 % RMS",
         "need 4 times the exposure that its brightness tells",
-        "white of the eye is 0.2 times as bright as it would usually be",
+        "white of the eye is 0.2, 0.2, 0.2 times (R, G, B) what it usually is",
         "20 % of the iris has colours that the model cannot make",
         f"{reason}; raise --max-steps",
     ):
