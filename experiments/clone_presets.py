@@ -13,8 +13,7 @@ from tqdm import tqdm
 
 from experiments.clone_truth import scattering_of
 from experiments.common import RESULTS, start, write
-from experiments.simulated_eyes import read_back
-from experiments.simulated_photographs import outline
+from experiments.simulated_eyes import outlines_of, read_back
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.presets import PRESETS
 from irisjax.photo.clone import (
@@ -55,7 +54,7 @@ def main(key, quick=False, out=RESULTS):
         maps = _raised(maps, contrast)
         scene = _scene(iris, maps)
         picture = read_back(np.concatenate([b.pixels for b in draw_bands(scene, samples=2)]))
-        given = _outlines(scene) if contrast > 2 else NOTHING
+        given = Given(*outlines_of(scene)) if contrast > 2 else NOTHING
         *_, found = clone_eye(picture, CloneSettings(), given, key=key)
         assert isinstance(found, Sampled)
         difference = compare_with_photograph(found)
@@ -87,12 +86,6 @@ def _scene(iris: Iris, maps: IrisMaps) -> Scene:
     """An iris in the studio."""
     camera = Camera(width=jnp.asarray(WIDTH), size=(SIZE, SIZE))
     return Scene(iris, maps, EYE, None, Environment.studio(), camera)
-
-
-def _outlines(scene: Scene) -> Given:
-    limbus, _ = outline(scene, float(scene.eye.limbus_radius), pupil=False)
-    pupil, _ = outline(scene, float(scene.eye.pupil_radius), pupil=True)
-    return Given(limbus, pupil)
 
 
 def _truth(iris: Iris, maps: IrisMaps, found: Sampled) -> dict[str, float]:

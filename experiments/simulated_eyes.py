@@ -69,12 +69,18 @@ def photographed(
         gains = np.array([values["red_gain"], 1.0, values["blue_gain"]])
         linear = values["exposure"] * gains * light ** values["contrast"]
         photograph = read_back(sensed(linear, random))
-        limbus, _ = outline(scene, float(scene.eye.limbus_radius), pupil=False)
-        pupil, _ = outline(scene, float(scene.eye.pupil_radius), pupil=True)
+        limbus, pupil = outlines_of(scene)
         row, column = np.ogrid[:SIZE, :SIZE]
         white = photograph.pixels[limbus.relative_radius(column, row) > 1.15].max(-1)
         if WHITE[0] < np.quantile(white, 0.9) < WHITE[1]:
             return Truth(values, scene, limbus, pupil), photograph
+
+
+def outlines_of(scene: Scene) -> tuple[Ellipse, Ellipse]:
+    """Limbus and pupil as a scene's camera sees them, in pixels."""
+    limbus, _ = outline(scene, float(scene.eye.limbus_radius), pupil=False)
+    pupil, _ = outline(scene, float(scene.eye.pupil_radius), pupil=True)
+    return limbus, pupil
 
 
 def read_back(linear: np.ndarray) -> Photograph:

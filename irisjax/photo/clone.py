@@ -57,11 +57,13 @@ from irisjax.photo.windows import (
     make_windows,
     ring_radius,
 )
+from irisjax.render.bands import BAND_GRID, colour_bands
 from irisjax.render.camera import CAMERA_LIMITS
 from irisjax.render.environment import LUMINANCE, Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrators import refine_table
 from irisjax.render.lights import Lights
+from irisjax.render.outside import bulk_reflectance
 from irisjax.render.picture import LitView, illuminate, respond, shade, surroundings, texture
 from irisjax.render.project import View, project_visible, scatter_to_picture
 from irisjax.render.radiative import RadiativeIntegrator
@@ -468,11 +470,13 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
     limbus = part.limbus.moved(-x, -y)
     if lids.any():
         clear = clear & ~find_mirrored_face(pixels, part.outside[cut], limbus, view.mirror)
-    try:
-        white = find_white(part, boundaries.limbus_width, pixels[clear])
-        white = white._replace(pixels=white.pixels[cut])
-    except ValueError:
-        white = None
+    white = None
+    if clear.any():
+        try:
+            white = find_white(part, boundaries.limbus_width, pixels[clear])
+            white = white._replace(pixels=white.pixels[cut])
+        except ValueError:
+            pass  # none is seen
     second = None
     if given.second is not None:
         second = lay_on_first(given.second, photograph, boundaries.limbus, boundaries.pupil, cut)
@@ -644,20 +648,24 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
 def tint_of_white(
     white: Mask, radiance: Colours, view: View, scene: Scene
 ) -> Float[np.ndarray, "3"]:
-    """Return the `Sclera.tint` with which the white of a scene is, in the median of some pixels, as
-    it is in a picture of radiances; at most the largest there is, where hardly any light falls.
+    """Return the `Sclera.tint` with which the white of a scene that has none is, in the median of
+    some pixels, as it is in a picture of radiances; the nearest that is allowed, where hardly any
+    light falls or no tint is as saturated.
     """
     scene = scene.replace(camera=dataclasses.replace(scene.camera, images=jnp.asarray(0.0)))
-    tint, sclera = np.ones(3), scene.eye.sclera
+    drawn = np.asarray(surroundings(view, texture(view, scene), scene)).T.reshape(radiance.shape)
+    seen, drawn = (np.median(picture[white], axis=0) for picture in (radiance, drawn))
+    # The colour is linear in the tint, whose three parts overlap in the channels of a picture.
+    sclera, bands = scene.eye.sclera, colour_bands(scene.illuminant, all_wavelengths=True)
     assert sclera is not None
-    for _ in range(3):  # the channels of a picture overlap
-        eye = scene.eye.replace(sclera=dataclasses.replace(sclera, tint=tint))
-        tinted = scene.replace(eye=eye)
-        drawn = np.asarray(surroundings(view, texture(view, tinted), tinted))
-        drawn = drawn.T.reshape(radiance.shape)
-        seen, drawn = (np.median(picture[white], axis=0) for picture in (radiance, drawn))
-        tint = np.minimum(tint * seen / np.maximum(drawn, _LEAST_DRAWN), EYE_LIMITS["tint"].high)
-    return tint
+    parts = [
+        bands.weights @ bulk_reflectance(dataclasses.replace(sclera, tint=one), BAND_GRID)
+        for one in np.eye(3)
+    ]
+    of_tint = np.transpose([np.asarray(part) for part in parts])
+    wanted = seen / np.maximum(drawn, _LEAST_DRAWN) * of_tint.sum(1)
+    limits = EYE_LIMITS["tint"]
+    return np.clip(np.linalg.solve(of_tint, wanted), limits.low, limits.high)
 
 
 def sample_clone(fitted: Coloured, settings: CloneSettings, *, key: PRNGKey) -> Sampled:
@@ -744,15 +752,14 @@ def _light_on_part(lit: Lit) -> np.ndarray | None:
 
 
 def _white_seen(lit: Lit) -> WhiteSeen:
-    """What the white tells of exposure and light; nothing where it is burnt out or a channel of it
-    is black.
+    """Return what the white tells of exposure and light: nothing where it is burnt out or a channel
+    of it is black.
     """
     white, lights = lit.white, lit.lighting.lights()
     if white is None or white.is_burnt or white.sides.min() <= 0 or lit.photograph.grey:
         return NO_WHITE
-    facing = lights.towards @ lit.pose.camera.axes()[0]
-    power = lights.irradiance * jnp.maximum(facing, 0.0) / np.pi
-    light = np.broadcast_to(np.asarray(lights.tint_factors.T @ power, np.float64), 3)
+    facing_camera = lights.irradiance_on(lit.pose.camera.axes()[0]) / np.pi
+    light = np.broadcast_to(np.asarray(facing_camera, np.float64), 3)
     reflectance, root = white.median_and_root()
     return WhiteSeen(white.sides.mean(0), reflectance, light, root)
 

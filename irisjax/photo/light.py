@@ -139,7 +139,7 @@ def find_lighting(
     over_iris = _image_over_iris(part, image, sure, limbus, pupil)
     shown = np.where(seen[..., None], over_iris, 0)
     power = float((shown @ LUMINANCE).sum())
-    # What is cut off has at least a value of 1 in every pixel.
+    # Pixels that are cut off count as 1: they are at least as bright.
     bright = np.where(burnt_out, 1.0, over_iris @ LUMINANCE)
     powers = np.array([bright[at].sum() for _, at, _ in lamps])
     total = power + powers.sum()

@@ -391,7 +391,9 @@ def _enlarged(local: Local, known: Mask, shape: tuple[int, int]) -> tuple[np.nda
         return map_channels(values, lambda c: c.resize(size, Image.Resampling.BILINEAR))
 
     covariance = enlarged(fill_holes(local.covariance, ~known).reshape(*known.shape, 9))
-    return enlarged(local.logs), covariance.reshape(*shape, 3, 3) + _FINER**2 * np.eye(3)
+    return enlarged(local.logs), covariance.reshape(*shape, 3, 3) + _FINER**2 * np.eye(
+        3, dtype=np.float32
+    )
 
 
 def _level(

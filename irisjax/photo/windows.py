@@ -75,7 +75,7 @@ class WindowPixels(NamedTuple):
 
 
 class WhiteSeen(NamedTuple):
-    """What the white of the eye tells of exposure and light.
+    """Evidence of the white of the eye on the exposure and the balance of the light.
 
     Attributes:
         colour: Linear values in the photograph.

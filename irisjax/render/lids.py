@@ -203,8 +203,7 @@ def frontal_irradiance(
     lights: Lights, lamp: Float[Array, " channels"]
 ) -> Float[Array, " channels"]:
     """Compute the irradiance of a surface that faces out of the face."""
-    power = lights.irradiance * jnp.maximum(-lights.towards[:, 2], 0.0)
-    return lamp * (lights.tint_factors.T @ power)
+    return lamp * lights.irradiance_on(jnp.asarray([0.0, 0.0, -1.0], lights.towards.dtype))
 
 
 def lid_visibility(

@@ -148,6 +148,11 @@ class Lights(eqx.Module):
         """Factors on the channels of a picture: `tint`, or a single 1 for lights without a tint."""
         return jnp.ones((len(self), 1), self.irradiance.dtype) if self.tint is None else self.tint
 
+    def irradiance_on(self, normal: Float[Array, "3"]) -> Float[Array, " tints"]:
+        """Compute the irradiance of a surface at the eye with a unit normal, for each tint."""
+        power = self.irradiance * jnp.maximum((self.towards * normal).sum(axis=1), 0.0)
+        return self.tint_factors.T @ power
+
     def polar(self) -> Float[Array, " lights"]:
         """Angle of each light from the axis of the eye, radians."""
         return _polar(self.towards)

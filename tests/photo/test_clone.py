@@ -1,6 +1,6 @@
 """Stages of a clone: the texture, its thickness against the truth, and a second photograph."""
 
-import dataclasses
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -87,10 +87,12 @@ def test_the_tint_of_a_white_comes_back(posed):
     scene = Scene(
         Iris(), eye=posed.pose.eye, lights=Lights.distant(0.4, 1.0), camera=posed.pose.camera
     )
-    tinted = dataclasses.replace(scene.eye.sclera, tint=np.array([0.3, 0.25, 0.2]))
+    tinted = replace(scene.eye.sclera, tint=np.array([0.3, 0.25, 0.2]))
     picture = np.asarray(draw(scene.replace(eye=scene.eye.replace(sclera=tinted))))
     found = tint_of_white(posed.white.pixels, picture, posed.view, scene)
     np.testing.assert_allclose(found, tinted.tint, rtol=2e-3)
+    # A white that hardly any light of the scene reaches gets no tint beyond what an eye may have.
+    assert tint_of_white(posed.white.pixels, 1e6 * picture, posed.view, scene).max() == 10
 
 
 def test_a_flat_picture_is_not_unrefracted(outlined, posed):
@@ -109,9 +111,7 @@ def test_thickness_of_a_photographed_iris_comes_back(alone):
 
     def score(**options):
         made = partial(shape_maps, alone.texture, shaped.freckles, **options)
-        return correlation(dataclasses.replace(shaped, estimate=made), truth.thickness, truth.used)[
-            0
-        ]
+        return correlation(replace(shaped, estimate=made), truth.thickness, truth.used)[0]
 
     paper, ours = score(), score(response=0.6, sigma_mm=0.0)
     assert 0 < paper < ours

@@ -109,6 +109,13 @@ def test_lamps_whose_images_are_not_cut_off_share_the_light_by_their_brightness(
     assert first / second == pytest.approx(0.6 * bright.sum() / (0.06 * faint.sum()), rel=0.1)
 
 
+def test_a_mirror_image_that_adds_no_light_is_none():
+    """The light of all lamps was nothing, and their shares of it no numbers."""
+    spot = (_mirrored(_direction(0.9, 2.0), 0.08) > 0.5).all(-1)
+    light = find_lighting(DIM, LIMBUS, PUPIL, spot, POSE, view())
+    assert light.found == 0 and light.lamps is None
+
+
 def test_a_wide_highlight_is_a_window_of_its_own_shape():
     """A window of two panes comes back with its bar, and lights the eye from where it stands."""
     towards = _direction(0.6, 2.4)

@@ -161,7 +161,7 @@ def test_mirror_images_tell_the_exposure_or_how_much_it_is_at_least(windows, fit
 
 
 def test_the_white_of_the_eye_tells_exposure_and_balance(windows, fit):
-    """As closely as its usual colour is known; where both disagree widely, that is doubted."""
+    """It tells them as closely as its usual colour is known; a white far off it is doubted."""
     true = {name: float(value) for name, value in parameter_values(TRUE).items()}
     names = "exposure", "red_gain", "blue_gain"
 
