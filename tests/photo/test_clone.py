@@ -2,15 +2,14 @@
 
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.ndimage import rotate, zoom
+from scipy import ndimage
 
 from experiments.clone_truth import correlation, true_thickness
-from irisjax.io.photographs import read_photograph
 from irisjax.photo import clone as cloning
 from irisjax.photo.clone import (
     CloneSettings,
@@ -20,36 +19,36 @@ from irisjax.photo.clone import (
     pose_eye,
     tint_of_white,
 )
-from irisjax.photo.edges import reduce_picture
 from irisjax.photo.masks import cut_part, find_mirrored_face
 from irisjax.photo.photograph import Photograph
 from irisjax.photo.texture import follow_refraction, unrefract
 from irisjax.photo.thickness import shape_maps
 from irisjax.render.lights import Lights
-from irisjax.render.picture import draw
+from irisjax.render.picture import surroundings, texture
+from irisjax.render.project import trace_tear_film
 from irisjax.render.scene import Scene
 from irisjax.tissue.iris import Iris
+from photo.simulated import photographed, with_highlight
 
-PHOTOGRAPHS = Path(__file__).parent.parent.parent / "data" / "photographs"
-SETTINGS = CloneSettings()
+NAME, SCALE = "green_tilted.jpg", 1 / 4
+SETTINGS = CloneSettings(focal_px=22569.4 * SCALE)
 
 
 @pytest.fixture(scope="module")
 def first():
-    """A photograph at a quarter of its size."""
-    found = read_photograph(PHOTOGRAPHS / "blue.jpg")
-    cut_off = reduce_picture(found.saturated[..., None].astype(float), 0.25)[..., 0] > 0
-    return found._replace(pixels=reduce_picture(found.pixels, 0.25), saturated=cut_off)
+    """A photograph and its outlines."""
+    return photographed(NAME, SCALE)
+
+
+def posed_from(photo, eye, settings=SETTINGS, **given):
+    """Camera and visible parts, with the true outlines."""
+    known = Given(eye.limbus, eye.pupil, **given)
+    return pose_eye(outline_eye(photo, known), settings, known)
 
 
 @pytest.fixture(scope="module")
-def outlined(first):
-    return outline_eye(first)
-
-
-@pytest.fixture(scope="module")
-def posed(outlined):
-    return pose_eye(outlined, SETTINGS)
+def posed(first):
+    return posed_from(first.photograph(), first)
 
 
 def flat(posed):
@@ -64,11 +63,28 @@ def alone(posed):
     return flat(posed)
 
 
-def test_a_frontal_eye_mirrors_no_face(first, posed):
-    x, y = posed.pose.corner
-    limbus = cut_part(first, posed.boundaries.limbus).limbus.moved(-x, -y)
-    outside = np.zeros(posed.clear.shape, bool)
-    assert not find_mirrored_face(posed.part, outside, limbus, posed.view.mirror).any()
+def test_the_mirrored_face_is_masked(first, posed):
+    """Of an eye that is turned: where it makes the rim brighter by a third than without a face. An
+    eye that looks into the camera mirrors none.
+    """
+    found = posed_from(photographed(NAME.replace(".", "_dirty."), SCALE).photograph(), first)
+    outside = np.zeros(found.clear.shape, bool)
+    masked = find_mirrored_face(found.part, outside, found.limbus, found.view.mirror)
+    rows, columns = found.clear.shape
+    row, column = np.ogrid[:rows, :columns]
+    iris = found.limbus.relative_radius(column, row) < 0.97
+    iris &= found.pupil.relative_radius(column, row) > 1.1
+    bare = 1.2 * posed.part[..., 0]
+    excess = ndimage.gaussian_filter(found.part[..., 0] - bare, 1.0)
+    changed = iris & (excess > 0.33 * bare) & (np.abs(row - rows / 2) < 0.2 * rows)
+    assert changed.sum() > 1000 * SCALE**2
+    assert masked[changed].mean() > 0.95
+    assert masked[iris].mean() < 0.1
+    assert not found.clear[masked].any()
+    index, ahead = found.view.mirror.index, replace(found.pose.camera, polar=jnp.zeros(()))
+    mirror = trace_tear_film(jnp.maximum(index, 0), found.pose.eye, ahead)
+    mirror = replace(mirror, index=index)
+    assert not find_mirrored_face(found.part, outside, found.limbus, mirror).any()
 
 
 def test_a_pupil_fades_about_its_outline_as_wide_as_the_photograph_is_blurred(posed):
@@ -84,20 +100,21 @@ def test_a_pupil_fades_about_its_outline_as_wide_as_the_photograph_is_blurred(po
 
 def test_the_tint_of_a_white_comes_back(posed):
     """From a picture of it, across the wavelengths of its channels."""
-    scene = Scene(
-        Iris(), eye=posed.pose.eye, lights=Lights.distant(0.4, 1.0), camera=posed.pose.camera
-    )
+    lights = Lights.distant(0.4, 1.0)
+    scene = Scene(Iris(), eye=posed.pose.eye, lights=lights, camera=posed.pose.camera)
     tinted = replace(scene.eye.sclera, tint=np.array([0.3, 0.25, 0.2]))
-    picture = np.asarray(draw(scene.replace(eye=scene.eye.replace(sclera=tinted))))
+    shown = scene.replace(eye=scene.eye.replace(sclera=tinted))
+    picture = surroundings(posed.view, texture(posed.view, shown), shown)
+    picture = np.asarray(picture).T.reshape(posed.part.shape)
     found = tint_of_white(posed.white.pixels, picture, posed.view, scene)
     np.testing.assert_allclose(found, tinted.tint, rtol=2e-3)
     # A white that hardly any light of the scene reaches gets no tint beyond what an eye may have.
     assert tint_of_white(posed.white.pixels, 1e6 * picture, posed.view, scene).max() == 10
 
 
-def test_a_flat_picture_is_not_unrefracted(outlined, posed):
+def test_a_flat_picture_is_not_unrefracted(first, posed):
     """Its pupil is as large as it appears, and nothing is mirrored; a cornea magnifies by 1.13."""
-    found = pose_eye(outlined, CloneSettings(media="flat"))
+    found = posed_from(first.photograph(), first, CloneSettings(media="flat"))
     limbus, pupil = (np.prod(e.semi_axes) for e in found.boundaries[:2])
     radius = float(found.pose.eye.limbus_radius) * np.sqrt(pupil / limbus)
     assert found.pose.pupil_radius == pytest.approx(radius, rel=0.01)
@@ -107,7 +124,7 @@ def test_a_flat_picture_is_not_unrefracted(outlined, posed):
 
 def test_thickness_of_a_photographed_iris_comes_back(alone):
     """The paper's method is better than the generic iris, and the model's than the paper's."""
-    truth, shaped = true_thickness("blue", alone.texture), cloning.shape_iris(alone, SETTINGS)
+    truth, shaped = true_thickness("green", alone.texture), cloning.shape_iris(alone, SETTINGS)
 
     def score(**options):
         made = partial(shape_maps, alone.texture, shaped.freckles, **options)
@@ -119,18 +136,12 @@ def test_thickness_of_a_photographed_iris_comes_back(alone):
 
 
 def test_texture_under_a_highlight_is_the_seconds(first, alone):
-    limbus, pupil = alone.boundaries.limbus, alone.boundaries.pupil
-    (x, y), radius = limbus.centre, limbus.semi_axes[0]
-    row, column = np.indices(first.shape)
-    disc = np.hypot(row - y - 0.476 * radius, column - x + 0.476 * radius) < 0.08 * radius
-    pixels = np.where(disc[..., None], np.float32(1), first.pixels)
-    burnt = first._replace(pixels=pixels, saturated=first.saturated | disc)
+    burnt = with_highlight(first, -0.476, 0.476, 0.08)
     # Another camera: turned by four degrees and a tenth smaller, a little darker.
-    turned = rotate(first.pixels, 4.0, reshape=False, order=1, mode="nearest")
-    turned = zoom(turned, (0.9, 0.9, 1), order=1)
+    turned = ndimage.rotate(first.pixels, 4.0, reshape=False, order=1, mode="nearest")
+    turned = ndimage.zoom(turned, (0.9, 0.9, 1), order=1)
     second = Photograph(0.8 * turned, (turned > 0.99).any(-1), name="second")
-    given = Given(limbus=limbus, pupil=pupil, second=second)
-    found = flat(pose_eye(outline_eye(burnt, given), SETTINGS, given))
+    found = flat(posed_from(burnt.photograph(), first, second=second))
     without = unrefract(found.part, found.clear, found.pose, found.refraction)
     hidden = alone.texture.valid & ~without.valid
     assert hidden.sum() > 250
@@ -142,7 +153,7 @@ def test_texture_under_a_highlight_is_the_seconds(first, alone):
     assert np.corrcoef(seen, true)[0, 1] > 0.95
     # Pigments come from the first: its pixels are left as they are.
     (x, y), (rows, columns) = found.pose.corner, found.clear.shape
-    part = cut_part(burnt, limbus).pixels[y : y + rows, x : x + columns]
+    part = cut_part(burnt.photograph(), first.limbus).pixels[y : y + rows, x : x + columns]
     np.testing.assert_array_equal(found.part, part)
 
 

@@ -12,9 +12,8 @@ from scipy import ndimage
 from irisjax.anatomy.eye import Eye
 from irisjax.io.photographs import read_photograph
 from irisjax.io.scenes import read_scene
-from irisjax.photo.clone import CloneSettings, Given, outline_eye, pose_eye
 from irisjax.photo.edges import reduce_picture
-from irisjax.photo.masks import cut_part, find_mirrored_face
+from irisjax.photo.masks import cut_part
 from irisjax.photo.outlines import MIN_CONFIDENCE, find_boundaries
 from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pose import find_pose
@@ -142,26 +141,3 @@ def test_what_lids_lashes_and_a_lamp_hide_is_masked(truth):
     touched = hidden | (np.abs(change - around) > 0.06)
     away = ring & (ndimage.distance_transform_edt(~touched) > 6)
     assert found[away].mean() < 0.03
-
-
-def test_the_mirrored_face_is_masked():
-    """Of an eye that is turned: where it makes the rim brighter by a third than without a face."""
-    truth = next(t for t in TRUTH if t["file"] == MASKED[-1])
-    limbus, pupil = (outline(truth, n).scaled(SCALE) for n in ("limbus", "pupil"))
-    photo = reduced(MASKED[-1])
-    found = pose_eye(outline_eye(photo, Given(limbus, pupil)), CloneSettings())
-    mirror = found.view.mirror
-    (x, y), part, clean = found.pose.corner, found.part, reduced(MASKED[-1].replace("_dirty", ""))
-    whole, (rows, columns) = cut_part(clean, limbus), part.shape[:2]
-    limbus, pupil = (whole.moved(e).moved(-x, -y) for e in (limbus, pupil))
-    masked = find_mirrored_face(part, np.zeros(part.shape[:2], bool), limbus, mirror)
-    bare = 1.2 * whole.pixels[y : y + rows, x : x + columns]
-    row, column = np.ogrid[:rows, :columns]
-    iris = limbus.relative_radius(column, row) < 0.97
-    iris &= pupil.relative_radius(column, row) > 1.1
-    excess = ndimage.gaussian_filter((part - bare)[..., 0], 1.0)
-    changed = iris & (excess > 0.33 * bare[..., 0]) & (np.abs(row - rows / 2) < 0.2 * rows)
-    assert changed.sum() > 1000 * SCALE**2
-    assert masked[changed].mean() > 0.95
-    assert masked[iris].mean() < 0.1
-    assert not found.clear[masked].any()
