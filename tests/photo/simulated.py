@@ -99,8 +99,3 @@ def exposed(eye: Simulated, white=0.8) -> Simulated:
     """Brightened until the 98th percentile is at `white`."""
     scale = white / np.quantile(eye.pixels, 0.98)
     return eye._replace(pixels=np.clip(eye.pixels * scale, 0, 1))
-
-
-def occluded(eye: Simulated) -> Simulated:
-    """Everything that happens to an eye before a camera."""
-    return with_noise(with_highlight(with_lashes(with_lids(exposed(eye)))))
