@@ -145,7 +145,7 @@ def test_brdf_by_photons(irisjax, printed):
 
 
 def test_equal_seeds_give_equal_bytes_whatever_the_block(irisjax, monkeypatch):
-    arguments = ("spectrum", "--solver", "monte-carlo", "--photons", "300", *GRID)
+    arguments = ("spectrum", "--solver", "monte-carlo", "--photons", "2000", *GRID)
     first = irisjax(*arguments, "--seed", "5")[1]
     monkeypatch.setattr(observing, "_BLOCK", 4 * 100)
     assert irisjax(*arguments, "--seed", "5")[1] == first

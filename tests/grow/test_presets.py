@@ -14,7 +14,7 @@ from irisjax.measure.colour import XYZ_TO_SRGB, lab_of
 from irisjax.render.integrators import INTEGRATORS
 from irisjax.render.picture import draw
 
-SHAPE = (96, 32)
+SHAPE = (128, 48)  # as in `test_procedural.py`, so that one program grows both
 RESULTS = Path(__file__).parents[2] / "experiments" / "results"
 WHITE = 0.6  # reflectance of the white of the eye
 

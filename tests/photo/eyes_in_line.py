@@ -10,7 +10,7 @@ from irisjax.anatomy.eye import Eye
 from irisjax.photo.photograph import Ellipse, ellipse_through
 from irisjax.photo.pose import project_iris_points
 from irisjax.render.camera import Camera
-from irisjax.render.project import project_visible
+from irisjax.render.project import trace_iris
 
 _AROUND = np.linspace(0, 2 * np.pi, 64, endpoint=False)
 
@@ -47,11 +47,10 @@ def painted(eye: Eye, camera: Camera, paint: Callable) -> np.ndarray:
     """What a camera sees of an iris that has the values `paint(x, y)` (pixels,) at x, y (mm): each
     pixel those of its middle, (rows, columns, 3); 0 beside the iris.
     """
-    pixels = project_visible(eye, camera).iris
-    assert pixels is not None
     count = camera.shape[0] * camera.shape[1]
-    number = np.arange(count) if pixels.index is None else np.asarray(pixels.index)
-    x, y = (np.asarray(c)[number >= 0] for c in pixels.point[:2])
+    pixels = trace_iris(np.arange(count, dtype=np.int32), eye, camera)
+    shown = np.asarray(pixels.share) > 0
+    x, y = (np.asarray(c)[shown] for c in pixels.point[:2])
     flat = np.zeros(count, np.float32)
-    flat[number[number >= 0]] = paint(x, y) * (np.asarray(pixels.share)[number >= 0] > 0)
+    flat[shown] = paint(x, y)
     return np.repeat(flat.reshape(*camera.shape, 1), 3, -1)

@@ -20,7 +20,9 @@ PUPIL = Ellipse((100.0, 100.0), (35.0, 34.0), 0.35 + np.pi / 2)
 
 
 CAMERA = Camera(polar=0.2, azimuth=0.35, distance=300.0, width=12.65, size=(201, 201))
-POSE = Pose(CAMERA, (0, 0), Eye(), (0.0, 0.0), 2.0, 0.2, 0.01, (0.18, 0.22), None, "given")
+POSE = Pose(
+    CAMERA, (0, 0), Eye(sclera=None), (0.0, 0.0), 2.0, 0.2, 0.01, (0.18, 0.22), None, "given"
+)
 DIM = np.full((*POSE.camera.shape, 3), 0.05)
 
 

@@ -35,10 +35,10 @@ def outline(truth, name):
     return Ellipse(tuple(of["centre_px"]), tuple(of["semi_axes_px"]), of["angle"])
 
 
-def reduced(name):
+def reduced(name, scale=SCALE):
     photo = read_photograph(FOLDER / name)
-    cut_off = reduce_picture(photo.saturated[..., None].astype(float), SCALE)[..., 0] > 0
-    focal, pixels = SCALE * photo.focal_px, reduce_picture(photo.pixels, SCALE)
+    cut_off = reduce_picture(photo.saturated[..., None].astype(float), scale)[..., 0] > 0
+    focal, pixels = scale * photo.focal_px, reduce_picture(photo.pixels, scale)
     return photo._replace(pixels=pixels, saturated=cut_off, focal_px=focal)
 
 
@@ -123,9 +123,9 @@ def test_what_lids_lashes_and_a_lamp_hide_is_masked(truth):
     Masked for nothing is what a streak has changed by less than 6 %: the thin shadows of lashes
     change it by a tenth, and must not be read as furrows.
     """
-    limbus, pupil = outline(truth, "limbus"), outline(truth, "pupil")
+    limbus, pupil = (outline(truth, name).scaled(0.5) for name in ("limbus", "pupil"))
     names = truth["file"], truth["file"].replace("_dirty", "")
-    dirty, clean = (cut_part(read_photograph(FOLDER / name), limbus) for name in names)
+    dirty, clean = (cut_part(reduced(name, 0.5), limbus) for name in names)
     inner = dirty.moved(pupil)
     shape = dirty.outside.shape
     ring = dirty.limbus.mask(shape) & ~inner.mask(shape)

@@ -18,7 +18,14 @@ from irisjax.photo.texels import FACTORS, colour_iris, factors_within_table, mov
 from irisjax.photo.texture import Refraction
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
-from irisjax.render.picture import draw, surroundings, texture, within_gamut
+from irisjax.render.picture import (
+    illuminate,
+    respond,
+    shade,
+    surroundings,
+    texture,
+    within_gamut,
+)
 from irisjax.render.project import project_visible, scatter_to_picture
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
@@ -63,24 +70,32 @@ def cells_of(shape) -> Refraction:
     return Refraction(*(c.astype(np.float32) for c in (column, row)), np.ones(shape, bool))
 
 
-@pytest.fixture(scope="module")
+@functools.cache
 def view():
     return project_visible(BARE, CAMERA)
+
+
+def draw(scene) -> np.ndarray:
+    """The picture, by the pixels that see the iris."""
+    found = texture(view(), scene)
+    light = illuminate(view(), found, scene, scene.tables())
+    return np.asarray(shade(view(), found, light, respond(scene)))
 
 
 @functools.cache
 def drawn():
     """The iris of two colours."""
-    return np.asarray(draw(scene_with(two_colours())))
+    return draw(scene_with(two_colours()))
 
 
-def radii(view):
-    return scatter_to_picture(view.iris, np.hypot(*map(np.asarray, view.iris.point[:2])), SHAPE)
+def radii():
+    iris = view().iris
+    return scatter_to_picture(iris, np.hypot(*map(np.asarray, iris.point[:2])), SHAPE)
 
 
-def solved(view, reflection: bool, wrong: float = 0.0):
+def solved(reflection: bool, wrong: float = 0.0):
     """The drawn iris, its visible pixels, those of a reflection on it, and what is found."""
-    radius = radii(view)
+    radius = radii()
     inner, outer = float(BARE.pupil_radius) + 0.2, min(float(BARE.iris_radius), 5.5) - 0.3
     known = (radius > inner) & (radius < outer)
     target = drawn().copy()
@@ -90,7 +105,7 @@ def solved(view, reflection: bool, wrong: float = 0.0):
     scene, doubt, usual = scene_with(None), np.full((3, 3), wrong**2), np.zeros(SHAPE)
     lit = target * np.exp(wrong), EXPOSURE * np.exp(-wrong)
     masks = known, known | ((radius > inner - 0.15) & (radius < outer))
-    found = colour_iris(lit[0], *masks, usual, scene, view, None, lit[1], doubt, cells_of)
+    found = colour_iris(lit[0], *masks, usual, scene, view(), None, lit[1], doubt, cells_of)
     return target, known, window, found
 
 
@@ -98,12 +113,12 @@ def _encoded(picture):
     return np.clip(picture * EXPOSURE, 0, None) ** (1 / 2.4)
 
 
-def test_the_picture_of_the_texels_is_the_photograph(view):
+def test_the_picture_of_the_texels_is_the_photograph():
     """Within 4 % by the pigments alone and 2 % with the residual, what a clone is asked for; at the
     edge of what is visible and on the rim beside the pupil as well.
     """
-    target, known, window, found = solved(view, reflection=True)
-    radius = radii(view)
+    target, known, window, found = solved(reflection=True)
+    radius = radii()
     rim = (radius > float(BARE.pupil_radius) + 0.05) & (radius < float(BARE.pupil_radius) + 0.2)
     assert not known[rim].any() and rim.any()
     pigments, whole = (
@@ -143,8 +158,8 @@ def test_texels_of_a_strong_scatterer_stay_within_the_table_of_radiative_transfe
 
 
 @pytest.fixture(scope="module")
-def sure(view):
-    return solved(view, reflection=False)[-1]
+def sure():
+    return solved(reflection=False)[-1]
 
 
 def test_the_numbers_and_their_deviations_are_those_of_the_drawing(sure):
@@ -190,7 +205,7 @@ def test_a_residual_moves_a_channel_that_the_model_makes_negative():
 def test_a_residual_multiplies_the_iris_alone():
     maps = two_colours()
     factors = jnp.broadcast_to(jnp.asarray([2.0, 1.0, 0.5]), (*maps.shape, 3))
-    tinted = np.asarray(draw(scene_with(maps.replace(residual=factors))))
+    tinted = draw(scene_with(maps.replace(residual=factors)))
     np.testing.assert_allclose(tinted, drawn() * [2.0, 1.0, 0.5], rtol=1e-5)
     with pytest.raises(ValueError, match="map residual has shape"):
         maps.replace(residual=factors[..., :2])
@@ -201,13 +216,13 @@ def test_a_residual_multiplies_the_iris_alone():
 def test_the_camera_sees_a_share_of_the_images():
     room, known = Environment.uniform(0.5), {"camera": CAMERA, "integrator": INTEGRATOR}
     scene = Scene(BASE, None, EYE, None, room, **known)
-    view = project_visible(EYE, CAMERA)
-    assert view.mirror is not None
-    film = scatter_to_picture(view.mirror, np.asarray(view.mirror.reflectance), SHAPE)
+    seen = project_visible(EYE, CAMERA)
+    assert seen.mirror is not None
+    film = scatter_to_picture(seen.mirror, np.asarray(seen.mirror.reflectance), SHAPE)
     shown = []
     for share in (1.0, 0.25, 0.0):
         scene = scene.replace(camera=dataclasses.replace(CAMERA, images=share))
-        channels = surroundings(view, texture(view, scene), scene)
+        channels = surroundings(seen, texture(seen, scene), scene)
         shown.append(np.asarray(channels).T.reshape(*SHAPE, 3))
     for share, picture in ((0.75, shown[1]), (1.0, shown[2])):
         np.testing.assert_allclose(
@@ -216,15 +231,15 @@ def test_the_camera_sees_a_share_of_the_images():
     # The pupil tells what the tears mirror, and the darkest of the iris bounds it.
     pupil = Ellipse((44.5, 44.5), (12.0, 12.0))
     clear = np.zeros(SHAPE, bool)
-    np.testing.assert_allclose(find_veil(shown[1], clear, pupil, view), 0.125, rtol=0.01)
+    np.testing.assert_allclose(find_veil(shown[1], clear, pupil, seen), 0.125, rtol=0.01)
     clear[40:50, 70:75] = True
     dark = np.where(clear[..., None], 0.001, shown[1])
-    assert find_veil(dark, clear, pupil, view).max() < 0.05
+    assert find_veil(dark, clear, pupil, seen).max() < 0.05
 
 
-def test_an_exposure_that_is_not_known_moves_all_texels_as_their_deviations_say(view, sure):
+def test_an_exposure_that_is_not_known_moves_all_texels_as_their_deviations_say(sure):
     """The same picture under an exposure that is wrong by a standard deviation of 15 %."""
-    off = solved(view, reflection=False, wrong=0.15)[-1]
+    off = solved(reflection=False, wrong=0.15)[-1]
     assert (sure.common == 0).all()
     moved = []
     for found in (sure, off):
