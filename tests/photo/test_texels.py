@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 from window_scenes import BASE as USUAL
-from window_scenes import EYE, LIGHTS, SHAPE
+from window_scenes import EYE, LIGHTS, SHAPE, picture_of
 
 from irisjax.photo.clone import usual_iris
 from irisjax.photo.light import find_veil
@@ -18,14 +18,7 @@ from irisjax.photo.texels import FACTORS, colour_iris, factors_within_table, mov
 from irisjax.photo.texture import Refraction
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
-from irisjax.render.picture import (
-    illuminate,
-    respond,
-    shade,
-    surroundings,
-    texture,
-    within_gamut,
-)
+from irisjax.render.picture import surroundings, texture, within_gamut
 from irisjax.render.project import project_visible, scatter_to_picture
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
@@ -76,10 +69,7 @@ def view():
 
 
 def draw(scene) -> np.ndarray:
-    """The picture, by the pixels that see the iris."""
-    found = texture(view(), scene)
-    light = illuminate(view(), found, scene, scene.tables())
-    return np.asarray(shade(view(), found, light, respond(scene)))
+    return picture_of(view(), scene)
 
 
 @functools.cache

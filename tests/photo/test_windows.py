@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from window_scenes import BASE, CAMERA, EYE, LIGHTS, POSE, QUICK, SHAPE, maps, view
+from window_scenes import BASE, CAMERA, EYE, LIGHTS, POSE, QUICK, SHAPE, maps, picture_of, view
 
 from irisjax.anatomy.eye import Eye
 from irisjax.photo.clone import SEARCHED, usual_iris
@@ -81,13 +81,14 @@ def drawn(bare):
     """
     lamps = Environment.studio(32).to_lights(ENVIRONMENT_LIGHTS)
     room = Environment.uniform(0.4)
-    return lamps, draw(Scene(OTHER, maps(), bare[0], lamps, room, CAMERA, integrator=QUICK))
+    scene = Scene(OTHER, maps(), bare[0], lamps, room, CAMERA, integrator=QUICK)
+    return lamps, picture_of(bare[1], scene)
 
 
 @pytest.fixture(scope="module")
 def lit(bare, drawn):
     eye, view, clear = bare
-    pixels = choose_pixels(np.asarray(drawn[1]), clear, view, eye)
+    pixels = choose_pixels(drawn[1], clear, view, eye)
     return make_windows(pixels, eye, BASE, maps(), Lighting(drawn[0]).lights(), QUICK, None, True)
 
 
@@ -100,7 +101,6 @@ def test_thickness_brightens_and_freckles_darken(lit):
     assert lit.thickness_response(BASE) > 0
     # Two at a time, as for the thickness, so that the same programs serve.
     darkness = [lit.freckle_response(BASE, np.array([0.0, s]))[1] for s in (0.0, 0.1, 0.5, 1.0)]
-    print(lit.freckle_response(BASE, np.array([0.0, 0.1, 0.5, 1.0])), darkness)
     assert darkness[0] == 1 and (np.diff(darkness) < 0).all()
 
 

@@ -10,7 +10,9 @@ from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.photo.pose import Pose
 from irisjax.render.camera import Camera
 from irisjax.render.lights import Lights
-from irisjax.render.project import project_visible
+from irisjax.render.picture import illuminate, respond, shade, texture
+from irisjax.render.project import View, project_visible
+from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
@@ -29,6 +31,13 @@ SHAPE = CAMERA.shape
 def view():
     """Picture that the camera sees."""
     return project_visible(EYE, CAMERA)
+
+
+def picture_of(seen: View, scene: Scene) -> np.ndarray:
+    """The picture that `draw` gives, of a view that is projected already."""
+    found = texture(seen, scene)
+    light = illuminate(seen, found, scene, scene.tables())
+    return np.asarray(shade(seen, found, light, respond(scene)))
 
 
 def maps() -> IrisMaps:
