@@ -48,6 +48,8 @@ class Quick(AbstractSolver):
         back = 0.3 * factor * layers.albedo * jnp.exp(-2 * layers.abl_absorption)
         back = back * -jnp.expm1(-layers.extinction)
         mirrored = 0.01 * cosine * jnp.ones_like(back)
+        rest, ipe = 1 - back - mirrored, layers.ipe_absorption
+        behind = None if ipe is None else rest * jnp.exp(-ipe)
         brdf = None
         if light.exits is not None:
             cosine, azimuth = light.exits.cosine, light.exits.azimuth
@@ -55,7 +57,10 @@ class Quick(AbstractSolver):
         return ij.Solution(
             reflectance=back,
             mirrored=mirrored,
-            absorbed=Absorbed(abl=0 * back, stroma=0 * back, ipe=1 - back - mirrored),
+            absorbed=Absorbed(
+                abl=0 * back, stroma=0 * back, ipe=rest if behind is None else rest - behind
+            ),
+            transmitted=behind,
             standard_error=None,
             total_error=None,
             brdf=brdf,

@@ -27,13 +27,6 @@ def python(*arguments, **options):
     )
 
 
-def test_status_and_one_line(tmp_path):
-    done = python("-m", "irisjax", "spectrum", "--level", "none", "-o", "x.csv", cwd=tmp_path)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "irisjax: --level: unknown 'none'; known: low, moderate, high\n"
-    assert not list(tmp_path.iterdir())
-
-
 def test_what_was_printed_is_not_lost(monkeypatch):
     """A command leaves at once, and what it printed into a pipe before a complaint stays."""
     monkeypatch.delenv("PYTHONUNBUFFERED", raising=False)
@@ -149,7 +142,7 @@ def test_ctrl_c_where_python_does_not_hear_it(tmp_path):
 
 
 IMPORTS = """
-import json, sys, jax
+import json, runpy, sys, jax
 import irisjax as ij
 ij.reflectance
 library = sorted(sys.modules)
@@ -157,11 +150,17 @@ import irisjax.cli
 command = sorted(sys.modules)
 names = [ij.io.read_maps.__name__, ij.infer.Fit.__name__, hasattr(ij.render, "nothing")]
 print(json.dumps([library, command, names, jax.config.read("jax_enable_x64")]))
+sys.argv[1:] = "spectrum", "--level", "none", "-o", "x.csv"
+runpy.run_module("irisjax", run_name="__main__", alter_sys=True)
 """
 
 
-def test_imports():
-    library, command, names, double = json.loads(python("-c", IMPORTS).stdout)
+def test_imports_and_the_status_of_wrong_input(tmp_path):
+    done = python("-c", IMPORTS, cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == "irisjax: --level: unknown 'none'; known: low, moderate, high\n"
+    assert not list(tmp_path.iterdir())
+    library, command, names, double = json.loads(done.stdout)
     heavy = {"matplotlib", "colour", "emcee", "arviz", "viser", "typer", "tqdm", "OpenImageIO"}
     assert not heavy & set(library)
     assert not {"matplotlib", "colour", "OpenImageIO", "scipy.special"} & set(command)
