@@ -7,8 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import window_scenes
 from scipy import ndimage
 from window_scenes import BASE as USUAL
+from window_scenes import CAMERA as ASIDE
 from window_scenes import EYE, LIGHTS, SHAPE, picture_of
 
 from irisjax.photo.clone import usual_iris
@@ -204,14 +206,14 @@ def test_a_residual_multiplies_the_iris_alone():
 
 
 def test_the_camera_sees_a_share_of_the_images():
-    room, known = Environment.uniform(0.5), {"camera": CAMERA, "integrator": INTEGRATOR}
+    room, known = Environment.uniform(0.5), {"camera": ASIDE, "integrator": INTEGRATOR}
     scene = Scene(BASE, None, EYE, None, room, **known)
-    seen = project_visible(EYE, CAMERA)
+    seen = window_scenes.view()
     assert seen.mirror is not None
     film = scatter_to_picture(seen.mirror, np.asarray(seen.mirror.reflectance), SHAPE)
     shown = []
     for share in (1.0, 0.25, 0.0):
-        scene = scene.replace(camera=dataclasses.replace(CAMERA, images=share))
+        scene = scene.replace(camera=dataclasses.replace(ASIDE, images=share))
         channels = surroundings(seen, texture(seen, scene), scene)
         shown.append(np.asarray(channels).T.reshape(*SHAPE, 3))
     for share, picture in ((0.75, shown[1]), (1.0, shown[2])):
