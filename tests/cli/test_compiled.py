@@ -180,8 +180,8 @@ compiled.keep_compiled()
 made = compiled._compile
 compiled._compile = lambda *given: print("traced") or made(*given)
 from irisjax.numerics import chunks
-from irisjax.render import picture  # a module that takes names of others
-print(type(picture.scale_ranges).__name__, float(chunks._concatenate([np.ones(2), np.ones(2)], 3).sum()))
+from irisjax.ocularist import mixing  # a module that takes names of others
+print(type(mixing.srgb_encode).__name__, float(chunks._concatenate([np.ones(2), np.ones(2)], 3).sum()))
 print(float(compiled.CachedFunction(jax.jit(jax.numpy.linalg.det), "det")(np.diag([2.0, 3.0]))))
 """
 
