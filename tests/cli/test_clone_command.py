@@ -310,25 +310,26 @@ def test_colours_of_an_eye_and_of_a_folder(irisjax, tmp_path, photo, truth, monk
     """One photograph alone, and the same among others, one of which is broken; a folder that a
     stopped run left half made is made again, and no other.
     """
+    eyes, folder = tmp_path / "eyes", tmp_path / "all"
+    eyes.mkdir()
+    small = eyes / "a.png"
+    with Image.open(photo) as image:
+        image.reduce(2).save(small)
+        image.reduce(2).convert("L").convert("RGB").save(eyes / "grey.png")
     limbus, pupil = (
-        Ellipse(tuple(e["centre_px"]), tuple(e["semi_axes_px"]), e["angle"])
+        Ellipse(tuple(e["centre_px"]), tuple(e["semi_axes_px"]), e["angle"]).scaled(0.5)
         for e in (truth["limbus"], truth["pupil"])
     )
     known = Boundaries(limbus, pupil, 0.9, 0.9)
     monkeypatch.setattr(cloning, "outline_eye", lambda p, given: cloning.Outlined(p, known))
-    status, out, err = irisjax("clone", photo, "--colour", "-o", tmp_path / "one")
+    status, out, err = irisjax("clone", small, "--colour", "-o", tmp_path / "one")
     assert (status, _files(tmp_path / "one")) == (0, {"colour.json", "colour.png", "outlines.png"})
     assert "ciliary ring (45 to 90 % of the way from pupil to limbus, " in out, err
     assert "the pupillary ring differs from the ciliary ring by L* +" in out
     found = json.loads((tmp_path / "one" / "colour.json").read_text())
     ring = found["regions"]["ciliary ring"]
     assert all(low < x < high for low, x, high in zip(*(ring[n] for n in ENDS), strict=True))
-    eyes, folder = tmp_path / "eyes", tmp_path / "all"
-    eyes.mkdir()
-    (eyes / "a.png").write_bytes(photo.read_bytes())
     (eyes / "a.jpg").write_text("not a picture")
-    with Image.open(photo) as image:
-        image.convert("L").convert("RGB").save(eyes / "grey.png")
     run = "clone", "--batch", eyes, "--colour", "-o", folder
     status, out, err = irisjax(*run)
     assert status == 3 and "2 of 3 photographs failed: a.jpg, grey.png" in err

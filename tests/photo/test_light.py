@@ -2,6 +2,7 @@
 
 import functools
 
+import equinox as eqx
 import numpy as np
 import pytest
 
@@ -11,6 +12,7 @@ from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pose import Pose
 from irisjax.photo.texture import Unrefracted, texels_of
 from irisjax.render.camera import Camera
+from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.project import project_visible
@@ -135,7 +137,7 @@ def test_a_wide_highlight_is_a_window_of_its_own_shape():
     x, y = np.meshgrid(np.linspace(-0.6, 0.6, 121), np.linspace(-0.4, 0.4, 81))
     depth = np.sqrt(1 - x**2 - y**2)
     places = x[..., None] * right + y[..., None] * up + depth[..., None] * towards
-    shown = np.asarray(light.wide.lookup(places))[..., 1]
+    shown = np.asarray(eqx.filter_jit(Environment.lookup)(light.wide, places))[..., 1]
     there = panes(places)
     # Texels are 0.02 wide, and edges as soft.
     assert (shown[there] > 0.5 * shown.max()).mean() > 0.9
