@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.anatomy.eye import Eye
 from irisjax.optics.conicoid import from_parts
 from irisjax.render.camera import Camera
 from irisjax.render.points import project_points
@@ -61,8 +61,13 @@ def test_what_is_turned_away_is_not_visible():
 
 
 def test_magnified_by_the_cornea():
-    """Of one surface, paraxially: 1 / (1 − depth (n − 1) / (n R))."""
-    eye, camera = Eye(cornea=Cornea(posterior=None)), Camera(distance=1e5, size=SIZE)
-    found = back(eye, camera, jnp.asarray([[1e-3, 0.0, 3.6], [0.0, 1e-3, 3.6]]))
+    """Paraxially, by the vergence on either side of both surfaces."""
+    eye, cornea = Eye(), Eye().cornea
+    found = back(eye, Camera(distance=1e5, size=SIZE), filled([1e-3, 0.0, 3.6], [0.0, 1e-3, 3.6]))
+    depth, aqueous, index = float(cornea.posterior.apex), float(eye.aqueous_index), cornea.index
+    inner = -aqueous / (3.6 - depth)
+    middle = inner + (aqueous - index) / cornea.posterior.radius
+    outer = -index / (depth - index / middle)
+    magnified = inner / middle * outer / (outer + (index - 1) / cornea.anterior.radius)
     x = (np.asarray(found.column)[0] - SIZE[0] / 2 + 0.5) * 15 / SIZE[0]
-    assert x / 1e-3 == pytest.approx(1 / (1 - 3.6 * 0.336 / (1.336 * 7.8)), rel=1e-4)
+    assert x / 1e-3 == pytest.approx(float(magnified), rel=1e-4)
