@@ -28,6 +28,7 @@ EYE = prosthesis().replace(sclera=None, cornea=None)
 FLAT = EYE.replace(iris_slope=None)
 CAMERA = Camera(size=(128, 96), width=9.0, distance=1e4)
 PITCH = 128 / 9.0  # pixels a mm
+SOME = np.arange(24, 128 * 96, 48, dtype=np.int32)  # 256 pixels all over the picture
 LAMP = Lights.distant(0.6, 2.2)
 SIZE = 64
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
@@ -54,10 +55,9 @@ def tables():
     return Illumination(jnp.asarray(flux), EYE.iris_radius, 1.0)
 
 
-@functools.cache
-def iris_pixels(polar=0.0, azimuth=0.0):
+def iris_pixels(index=SOME, polar=0.0, azimuth=0.0):
     camera = dataclasses.replace(CAMERA, polar=jnp.asarray(polar), azimuth=jnp.asarray(azimuth))
-    return trace_iris(np.arange(128 * 96, dtype=np.int32), EYE, camera)
+    return trace_iris(index, EYE, camera)
 
 
 def coat(name, height=0.0, opacity=1.0, colour=WHITE):
@@ -70,25 +70,22 @@ def scene(*coats, eye=EYE, lights=LAMP, camera=CAMERA, as_printed=False, **parts
     return Scene(None, eye=eye, lights=lights, camera=camera, integrator=painted, **parts)
 
 
-def picture(*coats, view=(0.0, 0.0), lights=LAMP, **parts):
-    """Radiance of the paint, in the light of the tables."""
+def picture(*coats, view=(), lights=LAMP, **parts):
+    """Radiance of the paint at pixels, in the light of the tables."""
     painted = scene(*coats, **parts).integrator
     seen = painted.paint(painted.base(iris_pixels(*view), lights, EYE, tables()))
-    return np.asarray(seen).T.reshape(96, 128, 3)
+    return np.asarray(seen).T
 
 
-def few_pixels():
-    """A camera, in the precision of the test."""
-    return Camera(size=(16, 12), width=13.0)
+FEW = {"size": (16, 16), "width": 13.0}  # a camera's, which is made in the precision of a test
 
 
-def in_the_middle(drawn, camera=CAMERA):
+def in_the_middle(drawn, size=CAMERA.size, width=9.0, index=SOME):
     """Pixels well inside the iris."""
-    columns, rows = camera.size
-    scale = float(camera.width) / columns
-    x, y = (scale * (np.arange(n) + 0.5 - n / 2) for n in (columns, rows))
-    r = np.hypot(x, y[:, None])
-    return np.asarray(drawn)[(r > 3) & (r < 4.6)]
+    rows, columns = np.divmod(index, size[0])
+    x, y = columns + 0.5 - size[0] / 2, rows + 0.5 - size[1] / 2
+    r = np.hypot(x, y) * width / size[0]
+    return np.asarray(drawn).reshape(-1, 3)[(r > 3) & (r < 4.6)]
 
 
 def spots(seed, count=12):
@@ -148,11 +145,11 @@ def test_single_precision(float32):
     white = (1.0, WHITE)  # uppermost it hides what lies below
     painted, plain = (
         draw(scene(*(coat(str(i), 0.1 * i, *k) for i, k in enumerate(kinds)), eye=eye, lights=lamp,
-                   camera=few_pixels()))
+                   camera=Camera(**FEW)))
         for kinds in (KINDS, (*KINDS[:2], white))
     )  # fmt: skip
     assert painted.dtype == jnp.float32
-    ratio = np.divide(*(in_the_middle(p, few_pixels()) for p in (painted, plain)))
+    ratio = np.divide(*(in_the_middle(p, **FEW, index=np.arange(256)) for p in (painted, plain)))
     np.testing.assert_allclose(ratio, np.tile(by_hand(*KINDS[::-1]), (len(ratio), 1)), rtol=1e-5)
 
 
@@ -211,7 +208,7 @@ def test_a_coat_that_changes_is_painted_with_those_below_alone(monkeypatch):
 
 
 def test_painted_scenes_have_colours_and_no_spectra():
-    painted = scene(coat("base", colour=RED), eye=FLAT, camera=few_pixels())
+    painted = scene(coat("base", colour=RED), eye=FLAT, camera=Camera(**FEW))
     with pytest.raises(ValueError, match="leave out the wavelengths"):
         draw(painted.replace(wavelengths=(500.0, 600.0)))
     with pytest.raises(ValueError, match="the iris is painted"):
@@ -226,8 +223,6 @@ def test_derivatives_by_colour_and_opacity_are_those_of_finite_differences():
     made = scene(*coats)
     painting = made.integrator.painting
     base = made.integrator.base(iris_pixels(), LAMP, EYE, tables())
-    few = jax.tree.map(lambda x: x[..., 24::48], (base.seen, base.state))
-    base = base._replace(seen=few[0], state=few[1])
 
     @jax.jit
     @jax.value_and_grad
@@ -255,9 +250,8 @@ def test_white_paint_is_a_white_sheet():
     room = Environment.uniform().to_lights(7)  # on a facing surface 0.6 % brighter than the room
 
     def seen(lights):
-        return in_the_middle(
-            draw(scene(coat("white"), eye=FLAT, lights=lights, camera=few_pixels())), few_pixels()
-        )
+        drawn = draw(scene(coat("white"), eye=FLAT, lights=lights, camera=Camera(**FEW)))
+        return in_the_middle(drawn, **FEW, index=np.arange(256))
 
     for polar, irradiance in ((0.7, np.pi), (0.0, np.pi / 2)):
         lamp = Lights.distant(np.full(7, polar), 0.4, irradiance / 7)
@@ -266,24 +260,35 @@ def test_white_paint_is_a_white_sheet():
     np.testing.assert_allclose(seen(room), 1, rtol=1 / 32)
 
 
-def centroid(values):
-    columns, rows = np.meshgrid(*(np.arange(n) for n in CAMERA.size))
-    return np.array([(values * at).sum() / values.sum() for at in (columns, rows)])
+def window(x, y):
+    """Every other pixel of 32 x 32 round a place, in pixels right of and above the middle."""
+    columns = np.round(63.5 + x) + np.arange(-15, 17, 2)
+    rows = np.round(47.5 - y) + np.arange(-15, 17, 2)
+    return (rows[:, None] * 128 + columns).ravel().astype(np.int32)
+
+
+def centroid(values, index):
+    return np.array([(values * at).sum() / values.sum() for at in (index % 128, index // 128)])
 
 
 def test_dots_on_high_coats_move_against_the_base():
     """A distant camera sees a point (0, 0, -height) moved by its own right and up."""
     x, y, height, view = 2.8, -0.7, 0.3, (0.5, 1.0)
-    dots = [picture(coat("dot", h, dot(x, y)), view=view) for h in (0.0, height)]
-    low, high = (centroid(seen[..., 0]) for seen in dots)
-    _, right, up = Camera(*view).axes()
+    right, up = map(np.asarray, Camera(*view).axes()[1:])
+    place = np.array([x, y, SLOPE * (np.hypot(x, y) - 1.9)])  # from the middle of the pupil
+    seen = window(PITCH * place @ right, PITCH * place @ up)
+    low, high = (
+        centroid(picture(coat("dot", h, dot(x, y)), view=(seen, *view))[:, 0], seen)
+        for h in (0.0, height)
+    )
     expected = -height * PITCH * np.array([right[2], -up[2]])
     assert np.linalg.norm(expected) > 1.5
     np.testing.assert_allclose(high - low, expected, atol=0.1)
 
 
 def test_shadows_fall_aside_from_the_lamp():
-    x, y, height = 0.5, 3.0, 0.3
+    x, y, height = -2.9, 1.2, 0.3
+    at = window(PITCH * x, PITCH * y)
     base, faint = coat("base", 0.1), coat("dot", 0.1 + height, dot(x, y, 0.2, 0.02), BLACK)
 
     def shadow(polar):
@@ -295,8 +300,10 @@ def test_shadows_fall_aside_from_the_lamp():
 
     def seen(polar):
         lights = Lights.distant(polar, 0.0)
-        lit, dotted = (picture(*c, lights=lights)[..., 0] for c in ([base], [base, faint]))
-        return centroid(np.where(lit > 0, 1 - dotted / np.where(lit > 0, lit, 1.0), 0.0))
+        lit, dotted = (
+            picture(*c, view=(at,), lights=lights)[:, 0] for c in ([base], [base, faint])
+        )
+        return centroid(np.where(lit > 0, 1 - dotted / np.where(lit > 0, lit, 1.0), 0.0), at)
 
     # The dot is so faint that it and its shadow, each as dark, add up: half-way between the two.
     expected = PITCH * (shadow(0.9) - shadow(0.0)) / 2 * [1, -1]
