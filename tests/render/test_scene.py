@@ -35,7 +35,7 @@ def maps_of(**changes):
         "abl_depth": LIGHT.abl_thickness, "stroma_depth": LIGHT.stroma_thickness,
         "eumelanin": 1.0, "relief": 0.0,
     } | changes  # fmt: skip
-    return IrisMaps(**{name: jnp.broadcast_to(v, (48, 24)) for name, v in even.items()})
+    return IrisMaps(**{name: np.broadcast_to(v, (48, 24)) for name, v in even.items()})
 
 
 def tables_of(eye, request):
