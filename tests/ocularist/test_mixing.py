@@ -95,16 +95,13 @@ def weighted(x):
     return (mixed_in_hsl(x[:, :3], x[:, 3:6], x[:, 6]) * jnp.asarray([[1.0, 2.0, 3.0]])).sum(-1)
 
 
-@jax.jit
-@jax.grad
-def slopes_of(x):
-    return weighted(x).sum()
+SLOPES = jax.jit(jax.grad(lambda x: weighted(x).sum()))
 
 
 def test_gradients_are_those_of_differences():
     """In a number of each mixture at a time: the others do not see it."""
     x = np.random.default_rng(3).uniform(0.1, 0.9, (len(GRID), 7))
-    slopes, step = slopes_of(x), 1e-6
+    slopes, step = SLOPES(x), 1e-6
     for j, way in enumerate(step * np.eye(7)):
         difference = np.asarray(weighted(x + way) - weighted(x - way)) / (2 * step)
         np.testing.assert_allclose(slopes[:, j], difference, rtol=1e-5, atol=1e-7)
@@ -115,7 +112,7 @@ def test_no_gradient_is_lost_at_greys_and_ends():
     for second in (np.roll(colours, 7, 0), colours, np.full_like(colours, 0.2), 0 * colours):
         for share in (0.0, 0.4, 1.0):
             x = np.concatenate([colours, second, np.full((len(colours), 1), share)], 1)
-            assert np.isfinite(slopes_of(x)).all()
+            assert np.isfinite(SLOPES(x)).all()
 
 
 def test_refusals():
