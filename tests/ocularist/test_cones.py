@@ -224,12 +224,13 @@ def test_distances_change_with_the_circles_as_finite_differences_say():
     direction = jnp.asarray(unit(np.array([[0.1, 0.0, 1.0], [0.2, 0.1, 1.0], [0.0, -0.1, 1.0]])))
 
     @jax.jit
+    @jax.value_and_grad
     def total(z):
         return Cones(z, radius).meet(origin, direction).distance.sum()
 
-    slope, step = jax.grad(total)(z), 1e-5
+    slope, step = total(z)[1], 1e-5
     for i in range(3):
-        numeric = (total(z.at[i].add(step)) - total(z.at[i].add(-step))) / (2 * step)
+        numeric = (total(z.at[i].add(step))[0] - total(z.at[i].add(-step))[0]) / (2 * step)
         assert abs(float(numeric)) > 0.05
         assert float(slope[i]) == pytest.approx(float(numeric), rel=1e-7)
 

@@ -12,26 +12,25 @@ import pytest
 
 from common import counting
 from irisjax.ocularist import integrator
-from irisjax.ocularist.coats import DEPTH, LIMBUS, SLOPE, Coat, Painting, profile_of, prosthesis
+from irisjax.ocularist.coats import LIMBUS, SLOPE, Coat, Painting, profile_of, prosthesis
 from irisjax.ocularist.integrator import Painted
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.picture import draw
-from irisjax.render.points import project_points
-from irisjax.render.project import project
+from irisjax.render.project import trace_iris
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
 from irisjax.render.shading import IrisModel
-from irisjax.render.surfaces import IrisSurface
-from render.small_scenes import around
 
-EYE = prosthesis().replace(sclera=None)
-FLAT = EYE.replace(cornea=None, iris_slope=None)
+EYE = prosthesis().replace(sclera=None, cornea=None)
+FLAT = EYE.replace(iris_slope=None)
 CAMERA = Camera(size=(128, 96), width=9.0, distance=1e4)
+PITCH = 128 / 9.0  # pixels a mm
+SOME = np.arange(24, 128 * 96, 48, dtype=np.int32)  # 256 pixels all over the picture
 LAMP = Lights.distant(0.6, 2.2)
-SIZE, LAMPS = 64, 32
+SIZE = 64
 WHITE, BLACK = (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)
 RED, GREEN, BLUE = (0.7, 0.2, 0.1), (0.3, 0.6, 0.2), (0.1, 0.2, 0.8)
 
@@ -42,19 +41,23 @@ def _coarse_shadows(monkeypatch):
     monkeypatch.setattr(integrator, "SHADOW", 96)
 
 
+def in_chamber(polar):
+    """Direction of light from polar angle `polar` towards +x, by Snell's law."""
+    sine = np.sin(polar) / 1.336
+    return np.array([-sine, 0.0, np.sqrt(1 - sine**2)])
+
+
 @functools.cache
 def tables():
-    return Illumination.build(EYE, caustics=False, size=33)
+    """Light as behind a flat cornea, whose direction is known by hand, up to 1 radian."""
+    directions = np.stack([in_chamber(0.05 * k) for k in range(21)])
+    flux = np.broadcast_to(directions[:, None, None], (21, 5, 5, 3))
+    return Illumination(jnp.asarray(flux), EYE.iris_radius, 1.0)
 
 
-@functools.cache
-def iris_pixels():
-    return project(EYE, CAMERA).iris
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _made_once():
-    return tables(), iris_pixels()
+def iris_pixels(index=SOME, polar=0.0, azimuth=0.0):
+    camera = dataclasses.replace(CAMERA, polar=jnp.asarray(polar), azimuth=jnp.asarray(azimuth))
+    return trace_iris(index, EYE, camera)
 
 
 def coat(name, height=0.0, opacity=1.0, colour=WHITE):
@@ -67,20 +70,22 @@ def scene(*coats, eye=EYE, lights=LAMP, camera=CAMERA, as_printed=False, **parts
     return Scene(None, eye=eye, lights=lights, camera=camera, integrator=painted, **parts)
 
 
-def picture(*coats, **parts):
-    """What paint sends back: without the cornea's mirror images."""
-    made = scene(*coats, **parts)
-    drawn = np.asarray(draw(made, tables()))
-    return drawn - around(made).T.reshape(drawn.shape)
+def picture(*coats, view=(), lights=LAMP, **parts):
+    """Radiance of the paint at pixels, in the light of the tables."""
+    painted = scene(*coats, **parts).integrator
+    seen = painted.paint(painted.base(iris_pixels(*view), lights, EYE, tables()))
+    return np.asarray(seen).T
 
 
-def in_the_middle(drawn, camera=CAMERA):
+FEW = {"size": (16, 16), "width": 13.0}  # a camera's, which is made in the precision of a test
+
+
+def in_the_middle(drawn, size=CAMERA.size, width=9.0, index=SOME):
     """Pixels well inside the iris."""
-    columns, rows = camera.size
-    scale = float(camera.width) / columns
-    x, y = (scale * (np.arange(n) + 0.5 - n / 2) for n in (columns, rows))
-    r = np.hypot(x, y[:, None])
-    return np.asarray(drawn)[(r > 3) & (r < 4.6)]
+    rows, columns = np.divmod(index, size[0])
+    x, y = columns + 0.5 - size[0] / 2, rows + 0.5 - size[1] / 2
+    r = np.hypot(x, y) * width / size[0]
+    return np.asarray(drawn).reshape(-1, 3)[(r > 3) & (r < 4.6)]
 
 
 def spots(seed, count=12):
@@ -136,12 +141,15 @@ def test_uniform_coats_are_composed_as_the_equations_say(heights, stack):
 
 
 def test_single_precision(float32):
-    parts = {"camera": Camera(size=(16, 12), width=13.0), "lights": Lights.distant(0.6, 2.2)}
-    parts["eye"] = prosthesis().replace(sclera=None, cornea=None)
-    coats = [coat(str(i), 0.1 * i, *k) for i, k in enumerate(KINDS)]
-    painted, white = (draw(scene(*c, **parts)) for c in (coats, [coat("white", 0.2)]))
+    eye, lamp = prosthesis().replace(sclera=None, cornea=None), Lights.distant(0.6, 2.2)
+    white = (1.0, WHITE)  # uppermost it hides what lies below
+    painted, plain = (
+        draw(scene(*(coat(str(i), 0.1 * i, *k) for i, k in enumerate(kinds)), eye=eye, lights=lamp,
+                   camera=Camera(**FEW)))
+        for kinds in (KINDS, (*KINDS[:2], white))
+    )  # fmt: skip
     assert painted.dtype == jnp.float32
-    ratio = np.divide(*(in_the_middle(p, parts["camera"]) for p in (painted, white)))
+    ratio = np.divide(*(in_the_middle(p, **FEW, index=np.arange(256)) for p in (painted, plain)))
     np.testing.assert_allclose(ratio, np.tile(by_hand(*KINDS[::-1]), (len(ratio), 1)), rtol=1e-5)
 
 
@@ -151,7 +159,8 @@ def test_shadows_as_printed_blacken_what_lies_under_varnish():
     np.testing.assert_allclose(in_the_middle(printed), 0, atol=1e-15)
     np.testing.assert_array_equal(picture(base, varnish), picture(base))
     half = coat("half", 0.1, 0.5, BLUE)
-    ratio = in_the_middle(picture(base, half, as_printed=True)) / in_the_middle(picture(coat("w")))
+    drawn, white = picture(base, half, as_printed=True), picture(coat("white"))
+    ratio = in_the_middle(drawn) / in_the_middle(white)
     paint = np.asarray(BLUE)
     expected = 0.5 * paint + 0.5 * np.asarray(RED) * (0.5 * 0.5 * paint)
     np.testing.assert_allclose(ratio, np.tile(expected, (len(ratio), 1)), rtol=1e-9)
@@ -160,8 +169,7 @@ def test_shadows_as_printed_blacken_what_lies_under_varnish():
 def test_no_pixel_is_brighter_than_white_paint():
     rng, heights = np.random.default_rng(0), (0.0, 0.12, 0.3)
     coats = [coat(str(i), h, spots(i), rng.random(3)) for i, h in enumerate(heights)]
-    # Paint stands out over the root as its height lets it: white at each of them.
-    white = np.max([picture(coat("white", h)) for h in heights], 0)
+    white = picture(*(coat(str(h), h) for h in heights))  # in its soft edges as opaque
     drawn = picture(*coats)
     assert drawn.max() > 0.1 * white.max()
     assert (drawn <= white + 1e-12).all()
@@ -174,8 +182,8 @@ STEPS = "_opacity_at", "_crossed", "_paint_over", "_light_under"
 def test_a_coat_that_changes_is_painted_with_those_below_alone(monkeypatch):
     names = "base", "low", "middle", "top"
     made = scene(*(coat(n, 0.1 * i, spots(i), RED) for i, n in enumerate(names)))
-    painting, parts = made.integrator.painting, (iris_pixels(), made.lights, made.eye)
-    base = made.integrator.base(*parts, tables())
+    painting = made.integrator.painting
+    base = made.integrator.base(iris_pixels(), LAMP, EYE, tables())
     done, steps = counting(monkeypatch, **dict.fromkeys(STEPS, integrator)), {}
     first = made.integrator.paint(base, steps)
 
@@ -185,8 +193,8 @@ def test_a_coat_that_changes_is_painted_with_those_below_alone(monkeypatch):
         done.update(dict.fromkeys(STEPS, 0))
         found = painted.paint(base, dict(steps))
         counts = tuple(done.values())
-        front = IrisModel(made.eye, None, None)
-        whole = painted.illuminate(iris_pixels(), made.lights, front, tables(), None)
+        front = IrisModel(EYE, None, None)
+        whole = painted.illuminate(iris_pixels(), LAMP, front, tables(), None)
         np.testing.assert_allclose(found, whole, atol=1e-12)
         assert np.abs(np.asarray(found - first)).max() > 1e-3
         return counts
@@ -200,9 +208,9 @@ def test_a_coat_that_changes_is_painted_with_those_below_alone(monkeypatch):
 
 
 def test_painted_scenes_have_colours_and_no_spectra():
-    painted = scene(coat("base", colour=RED))
+    painted = scene(coat("base", colour=RED), eye=FLAT, camera=Camera(**FEW))
     with pytest.raises(ValueError, match="leave out the wavelengths"):
-        draw(painted.replace(wavelengths=(500.0, 600.0)), tables())
+        draw(painted.replace(wavelengths=(500.0, 600.0)))
     with pytest.raises(ValueError, match="the iris is painted"):
         _ = painted.tissue
     with pytest.raises(ValueError, match="an integrator of paint"):
@@ -239,91 +247,66 @@ def test_white_paint_is_a_white_sheet():
     """Without a cornea: 1 in irradiance π from straight ahead, its cosine from aside, half of it
     for half of the light, and as bright as light from all round.
     """
-    white, one = coat("white"), np.ones((LAMPS, 3))
+    room = Environment.uniform().to_lights(7)  # on a facing surface 0.6 % brighter than the room
+
+    def seen(lights):
+        drawn = draw(scene(coat("white"), eye=FLAT, lights=lights, camera=Camera(**FEW)))
+        return in_the_middle(drawn, **FEW, index=np.arange(256))
+
     for polar, irradiance in ((0.7, np.pi), (0.0, np.pi / 2)):
-        lamp = Lights.distant(np.full(LAMPS, polar), 0.4, irradiance / LAMPS)
-        lamp = dataclasses.replace(lamp, tint=one)  # of as many lamps as the environment below
-        seen = in_the_middle(draw(scene(white, eye=FLAT, lights=lamp)))
-        np.testing.assert_allclose(seen / (irradiance / np.pi * np.cos(polar)), 1, rtol=1e-3)
-    # A lamp stands for 1/32 of the hemisphere.
-    seen = in_the_middle(
-        draw(scene(white, eye=FLAT, lights=Environment.uniform().to_lights(LAMPS)))
+        lamp = Lights.distant(np.full(7, polar), 0.4, irradiance / 7)
+        lamp = dataclasses.replace(lamp, tint=room.tint)  # one program for all lights
+        np.testing.assert_allclose(seen(lamp) / (irradiance / np.pi * np.cos(polar)), 1, rtol=1e-3)
+    np.testing.assert_allclose(seen(room), 1, rtol=1 / 32)
+
+
+def window(x, y):
+    """Every other pixel of 32 x 32 round a place, in pixels right of and above the middle."""
+    columns = np.round(63.5 + x) + np.arange(-15, 17, 2)
+    rows = np.round(47.5 - y) + np.arange(-15, 17, 2)
+    return (rows[:, None] * 128 + columns).ravel().astype(np.int32)
+
+
+def centroid(values, index):
+    return np.array([(values * at).sum() / values.sum() for at in (index % 128, index // 128)])
+
+
+def test_dots_on_high_coats_move_against_the_base():
+    """A distant camera sees a point (0, 0, -height) moved by its own right and up."""
+    x, y, height, view = 2.8, -0.7, 0.3, (0.5, 1.0)
+    right, up = map(np.asarray, Camera(*view).axes()[1:])
+    place = np.array([x, y, SLOPE * (np.hypot(x, y) - 1.9)])  # from the middle of the pupil
+    seen = window(PITCH * place @ right, PITCH * place @ up)
+    low, high = (
+        centroid(picture(coat("dot", h, dot(x, y)), view=(seen, *view))[:, 0], seen)
+        for h in (0.0, height)
     )
-    np.testing.assert_allclose(seen, 1, rtol=1 / LAMPS)
-
-
-def centroid(values, camera=CAMERA):
-    columns, rows = np.meshgrid(*(np.arange(n) for n in camera.size))
-    return np.array([(values * at).sum() / values.sum() for at in (columns, rows)])
-
-
-projected = jax.jit(lambda eye, *given: project_points(IrisSurface(eye), *given))
-
-
-def pixel(x, y, height, camera):
-    """Column and row in which a distant camera sees (x, y), a height above the base."""
-    # Points are searched for on an eye's iris: on one that lies so much further forward. Its
-    # camera looks at its pupil, and sees all of it moved aside by the difference.
-    eye = EYE.replace(iris_depth=DEPTH - height)
-    z = DEPTH - height + SLOPE * np.hypot(x, y)
-    column, row, visible = projected(eye, camera, jnp.asarray([[x, y, z]]))
-    assert bool(visible.all())
-    _, right, up = camera.axes()
-    scale = camera.size[0] / float(camera.width)
-    aside = height * scale * np.array([-float(right[2]), float(up[2])])
-    return np.array([float(column[0]), float(row[0])]) + aside
-
-
-@pytest.mark.parametrize(("polar", "azimuth"), [(0.0, 0.0), (0.5, 1.0)])
-def test_dots_on_high_coats_move_against_the_base(polar, azimuth):
-    camera = dataclasses.replace(CAMERA, polar=jnp.asarray(polar), azimuth=jnp.asarray(azimuth))
-    x, y, height = 2.8, -0.7, 0.3
-    dots = [picture(coat("dot", h, dot(x, y)), camera=camera) for h in (0.0, height)]
-    low, high = (centroid(seen[..., 0]) for seen in dots)
-    expected = pixel(x, y, height, camera) - pixel(x, y, 0.0, camera)
-    if polar:
-        assert np.linalg.norm(expected) > 1.5
+    expected = -height * PITCH * np.array([right[2], -up[2]])
+    assert np.linalg.norm(expected) > 1.5
     np.testing.assert_allclose(high - low, expected, atol=0.1)
 
 
-def direction_in_chamber(polar, place):
-    """Of light from polar angle `polar` towards +x that reaches a point: Snell at the sphere, the
-    entry by repetition.
-    """
-    light = np.array([-np.sin(polar), 0.0, np.cos(polar)])
-    aim = place[:2].copy()
-    for _ in range(200):
-        front = np.array([*aim, 7.8 - np.sqrt(7.8**2 - aim @ aim)])
-        outwards = (front - np.array([0, 0, 7.8])) / 7.8
-        cosine = -light @ outwards
-        inside = np.sqrt(1 - (1 - cosine**2) / 1.376**2)
-        bent = light / 1.376 + (cosine / 1.376 - inside) * outwards
-        landing = front + bent * ((place[2] - front[2]) / bent[2])
-        aim = aim + 0.5 * (place - landing)[:2]
-    return bent
-
-
 def test_shadows_fall_aside_from_the_lamp():
-    x, y, height = 0.5, 3.0, 0.3
-    base, faint = coat("base"), coat("dot", height, dot(x, y, 0.2, 0.02), BLACK)
+    x, y, height = -2.9, 1.2, 0.3
+    at = window(PITCH * x, PITCH * y)
+    base, faint = coat("base", 0.1), coat("dot", 0.1 + height, dot(x, y, 0.2, 0.02), BLACK)
 
     def shadow(polar):
-        at, down = np.array([x, y]), height  # and on along the cone's fall under the shadow
-        for _ in range(10):
-            bent = direction_in_chamber(polar, np.array([*at, DEPTH + SLOPE * np.hypot(*at)]))
+        at, down, bent = (x, y), height, in_chamber(polar)
+        for _ in range(10):  # and on along the cone's fall under the shadow
             at = np.array([x, y]) + bent[:2] / bent[2] * down
             down = height + SLOPE * (np.hypot(*at) - np.hypot(x, y))
         return at
 
     def seen(polar):
         lights = Lights.distant(polar, 0.0)
-        lit, dotted = (picture(*c, lights=lights)[..., 0] for c in ([base], [base, faint]))
-        return centroid(np.where(lit > 0, 1 - dotted / np.where(lit > 0, lit, 1.0), 0.0))
+        lit, dotted = (
+            picture(*c, view=(at,), lights=lights)[:, 0] for c in ([base], [base, faint])
+        )
+        return centroid(np.where(lit > 0, 1 - dotted / np.where(lit > 0, lit, 1.0), 0.0), at)
 
-    # The dot is small: the cornea draws wide shadows out unevenly. It is so faint that it and its
-    # shadow, each as dark, add up: half-way between the two.
-    overhead, slanted = (pixel(*shadow(polar), 0.0, CAMERA) for polar in (0.0, 0.9))
-    expected = (slanted - overhead) / 2
+    # The dot is so faint that it and its shadow, each as dark, add up: half-way between the two.
+    expected = PITCH * (shadow(0.9) - shadow(0.0)) / 2 * [1, -1]
     assert abs(expected[0]) > 1.5
     np.testing.assert_allclose(seen(0.9) - seen(0.0), expected, atol=0.1)
 

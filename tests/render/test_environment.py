@@ -200,7 +200,7 @@ def test_window():
     middle = np.array([-0.5, 0.62, -1.0]) / np.linalg.norm([-0.5, 0.62, -1.0])
     across = np.array([-middle[2], 0, middle[0]]) / np.hypot(middle[0], middle[2])
     rows = middle + right[..., None] * across + up[..., None] * np.cross(-middle, across)
-    luminance = np.asarray(window.lookup(rows)) @ np.asarray(LUMINANCE)
+    luminance = np.asarray(lookup(window, rows)) @ np.asarray(LUMINANCE)
     assert (luminance[[0, 2], 0] > 30).all()
     assert 2 < luminance[[0, 2], 2].min() < 10
     assert (luminance[1] < 10).all()  # on the bars

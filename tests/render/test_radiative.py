@@ -44,7 +44,7 @@ def solved(layers, incidence, exits, azimuths):
 
 
 def number(value):
-    """A number as `solved` is compiled for."""
+    """A number or numbers as `solved` is compiled for."""
     return jnp.asarray(value, float)
 
 
@@ -67,7 +67,7 @@ def response():
 brdf_of = eqx.filter_jit(lambda response, *directions: response.brdf(*directions))
 
 
-@pytest.mark.parametrize("level", ["low", "moderate", "high"])
+@pytest.mark.parametrize("level", ["low", "high"])
 def test_brdf_of_texels_is_the_exact_solver_s(response, level):
     """To 1 % out to 75°, at three incidences; of texels much darker than others the error is one of
     the brightest.
@@ -82,8 +82,8 @@ def test_brdf_of_texels_is_the_exact_solver_s(response, level):
         for incidence in np.cos(np.radians([0.0, 40.0, 70.0])):
             true = solved(scaled(iris, abl, stroma), number(incidence), *pairs).brdf
             brightest = max(brightest, float(true.max()))
-            scales = Scales(jnp.full(4, abl), jnp.full(4, stroma))
-            given = brdf_of(found, scales, jnp.full(4, incidence), *pairs)
+            scales = Scales(number([abl] * 4), number([stroma] * 4))
+            given = brdf_of(found, scales, number([incidence] * 4), *pairs)
             np.testing.assert_allclose(given, true, atol=2 * float(found.error) * brightest)
             if abl <= 1:
                 np.testing.assert_allclose(given, true, rtol=1e-2)
@@ -176,7 +176,7 @@ def test_the_matt_iris_of_the_hand_over(matt):
     """Albedo and BRDF as the exact solver has them. What leaves in all directions is the
     reflectance, but for light that is never scattered.
     """
-    one, turn, ones = jnp.full(4, 0.9), jnp.full(4, 0.5), Scales(jnp.ones(1), jnp.ones(1))
+    one, turn, ones = number([0.9] * 4), number([0.5] * 4), Scales(jnp.ones(1), jnp.ones(1))
     for incidence in (0.4, 1.0):
         whole, clear = (
             solved(scaled(LIGHT, scattering=s), number(incidence), one, turn) for s in (1.0, 0.0)
@@ -191,7 +191,7 @@ def test_the_matt_iris_of_the_hand_over(matt):
 
 
 def test_the_matt_iris_errs_by_as_much_as_it_says(matt):
-    whole = solved(scaled(LIGHT), number(1.0), jnp.full(4, 0.9), jnp.full(4, 0.5))
+    whole = solved(scaled(LIGHT), number(1.0), number([0.9] * 4), number([0.5] * 4))
     ratio = matt.albedo()[0, 0] / np.pi / np.asarray(whole.brdf)[:, 0] - 1
     error = matt.error()
     assert (np.abs(error.most) >= 0.99 * np.abs(ratio)).all()
