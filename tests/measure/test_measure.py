@@ -80,15 +80,22 @@ def test_result():
     assert "..." in lines
 
 
-def test_jit_vmap_and_grad():
+def test_jit_vmap_checkpoint_and_grad():
+    """The derivative in reverse, with values computed again, is the one forward."""
     _, irides = all_irides()
 
     def measured(iris):
         found = read(iris)
         return found.values.sum(), found
 
-    run = quick_jit(jax.vmap(jax.value_and_grad(measured, has_aux=True)))
-    (_, batch), slope = run(irides)
+    reverse = jax.value_and_grad(jax.checkpoint(measured), has_aux=True)
+    (_, batch), slope = quick_jit(jax.vmap(reverse))(irides)
+    leaves, structure = jax.tree.flatten(jax.tree.map(lambda x: np.asarray(x[0]), irides))
+    along = np.random.default_rng(0).normal(size=len(leaves)) * leaves
+    forward = quick_jit(lambda i, t: jax.jvp(lambda i: measured(i)[0], (i,), (t,))[1])
+    expected = forward(structure.unflatten(leaves), structure.unflatten(along))
+    kept = [x[0] for x in jax.tree.leaves(slope)]
+    np.testing.assert_allclose(np.dot(kept, along), expected, rtol=1e-10)
     assert repr(batch) == "reflectance, batch of shape (9, 81)"
     for i in (0, 8):
         one = jax.tree.map(lambda x, i=i: x[i], irides)

@@ -284,7 +284,7 @@ def test_a_probe_reads_what_photons_carry_into_its_cone():
     """What a narrow spot loses sideways is the approximation of an infinitely wide one."""
     iris, grid = ij.Iris.of_level("moderate"), np.array([550.0])
     seen = ij.Spectrophotometer(grid, aperture=0.22)
-    made = iris.layers(seen.pigments, seen.media.aqueous)
+    made = quick_jit(ij.Iris.layers)(iris, seen.pigments, seen.media.aqueous)
     depths = made.abl_absorption, made.stroma_absorption, made.stroma_scattering
     depths = tuple(float(x[0]) for x in depths)
     indices = tuple(float(getattr(made.indices, n)) for n in ("aqueous", "abl", "stroma", "ipe"))

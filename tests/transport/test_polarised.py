@@ -65,11 +65,14 @@ IRIDES = [
 ]
 
 
+_layers_of = quick_jit(ij.Iris.layers)
+
+
 @pytest.mark.parametrize("row", IRIDES, ids=lambda r: f"{r[0]}-{r[1]}")
 def test_irides(row):
     level, nm, reflectance, error, radiance, radiance_error, crossed = row
     iris = ij.Iris.of_level(level).replace(abl_fraction=0.5)
-    found = solve(iris.layers(ij.extinction([float(nm)])))
+    found = solve(_layers_of(iris, ij.extinction([float(nm)])))
     whole = float((found.reflectance + found.mirrored)[0])
     assert whole == pytest.approx(reflectance, abs=3 * error)
     matrix = np.pi * np.asarray(found.polarisation.brdf)[0, 0]

@@ -16,7 +16,7 @@ from irisjax.transport.defaults import quickest
 WAVES = np.array([450.0, 550.0, 650.0])
 PALE = ij.Iris.of_level("low")
 SOLVERS = {
-    "ilit": ij.IlitExact(16),
+    "ilit": ij.IlitExact(16, process=ij.ILIT_CORRECTED),
     "radiative": ij.RadiativeExact(28),
     "doubling": ij.AddingDoubling(20, 8),
     "polarised": ij.RadiativeExact(12, process=ij.POLARISED),
@@ -220,7 +220,7 @@ def test_the_instrument_and_photons_of_ilit():
     assert read.quantity == "transmittance"
     shares = read.absorbed.total() + read.transmitted + read.mirrored
     np.testing.assert_allclose(shares + exact.reflectance, 1, rtol=1e-12)
-    photons, key = ij.MonteCarlo(100_000), jax.random.key(3)
+    photons, key = ij.MonteCarlo(100_000, process=ij.ILIT_CORRECTED), jax.random.key(3)
     read = ij.transmittance(iris, WAVES, cos_incidence=COSINE, solver=photons, key=key)
     check_photons(read.values, read.standard_error, read, "ilit")
     with pytest.raises(ValueError, match="no light gets behind a black pigment epithelium"):
