@@ -1,5 +1,7 @@
 """Least squares of many rows in lanes: the minima of single searches, whatever the lanes."""
 
+import inspect
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,11 +20,18 @@ def valley(x, weight, narrow):
     return jnp.stack([narrow * (x[1] - x[0] ** 2), 1 - x[0], 0.1 * weight * x[0]]), narrow
 
 
+def until(tolerance):
+    """The solver to a tolerance that may be traced."""
+    at = lambda solver: (solver.rtol, solver.atol)  # noqa: E731
+    return eqx.tree_at(at, levenberg_marquardt(), (tolerance, tolerance))
+
+
 @eqx.filter_jit
 def compiled(rows, starts, lanes, max_steps, tolerance, count):
-    solver = levenberg_marquardt(tolerance, tolerance)
-    most = {"max_steps": max_steps, "count": count}  # traced, as is the tolerance
-    return least_squares_of_rows(valley, rows, starts, solver=solver, lanes=lanes, **most)
+    settings = {"solver": until(tolerance), "lanes": lanes, "count": count}
+    # Unchecked: its number of steps is traced, so that one program has several.
+    search = inspect.unwrap(least_squares_of_rows)
+    return search(valley, rows, starts, max_steps=max_steps, **settings)
 
 
 def in_lanes(rows=NARROW, starts=STARTS, lanes=4, max_steps=200, tolerance=1e-8, count=11):
@@ -38,7 +47,7 @@ def four_lanes():
 @jax.jit
 def singles(tolerance):
     """Single searches, and where optimistix's own end."""
-    solver = levenberg_marquardt(tolerance, tolerance)
+    solver = until(tolerance)
 
     def single(row):
         narrow, start = row
