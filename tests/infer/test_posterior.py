@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
+from experiments.closed_formulas import BeerLambert
 from irisjax.infer import importance, posterior
 from irisjax.infer.importance import Start
 from irisjax.infer.posterior import check_run, diagnose, mixing, sample
@@ -128,11 +129,12 @@ def test_a_damaged_file_is_refused(whole, tmp_path):
 
 def test_other_runs_cannot_be_resumed(whole, tmp_path):
     path, _ = whole
-    other = sample(RIDGE, START, **SETTINGS | {"key": OTHER})
+    other = sample(RIDGE, START, **SETTINGS | {"key": OTHER, "max_steps": 20})
     assert not np.array_equal(other.z[0], whole[1].z[0])
     with pytest.raises(ValueError, match="exists; resume it or remove it"):
         sample(RIDGE, START, store=path, **SETTINGS)
-    renamed = ij.problem(ij.spectrum([500.0, 600.0], [0.1, 0.1]), free=["gain", "noise"])
+    seen = ij.spectrum([500.0, 600.0], [0.1, 0.1])
+    renamed = ij.problem(seen, free=["gain", "noise"], solver=BeerLambert())
     for target, changed in (
         (Ridge(0.6), {}),
         (RIDGE, {"key": OTHER}),
