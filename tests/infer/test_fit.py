@@ -218,7 +218,9 @@ def test_blood_behind_a_slit_in_a_compiled_program():
     found = run(stated).values
     assert float(found["hemoglobin"]) == pytest.approx(0.084, rel=0.01)
     assert float(found["saturation"]) == pytest.approx(0.5, abs=0.01)
-    stepped = with_values(stated.observations[0], jnp.asarray(np.where(GRID < 550, 1, 1.6) * values))
+    stepped = with_values(
+        stated.observations[0], jnp.asarray(np.where(GRID < 550, 1, 1.6) * values)
+    )
     with pytest.raises(RuntimeError, match="does not produce these data"):
         run(stated.with_observations(stepped))
 
