@@ -240,13 +240,3 @@ def test_panels_without_a_critical_angle_are_not_compiled():
     sizes = [jax.eval_shape(rule, critical).cosine.size for rule in rules]
     assert counts[0] < counts[1] < counts[2]
     assert sizes[0] == sizes[1] == 8 < sizes[2]
-
-
-def test_new_numbers_are_not_compiled_for_again():
-    """Whatever is compiled for an iris."""
-    calls = []
-    compiled = jax.jit(lambda iris: calls.append(1) or iris)
-    for field in ("eumelanin", "abl_fraction", "stroma_thickness"):
-        for value in (0.1, 0.2, jnp.asarray(0.3)):
-            compiled(ij.Iris.of_level("low").replace(**{field: value}))
-    assert len(calls) == 1

@@ -41,7 +41,6 @@ def test_wavelength_grid():
         ([500.0, 500.0], "wavelengths must increase; 500 nm is followed by 500 nm"),
         ([], "wavelengths must be a list of at least one number"),
         ([np.nan], "wavelengths must be finite"),
-        ([[500.0]], "wavelengths must be a list"),
         ([300.0], "wavelength 300 nm is outside the lutein table"),
     ],
 )
