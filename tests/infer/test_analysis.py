@@ -41,12 +41,15 @@ def stated(process):
 @pytest.fixture(scope="module")
 def eyes():
     """Noiseless spectra of one iris by either process."""
-    found = []
-    for process in PROCESSES:
-        problem = stated(process)
-        (values,) = quick_jit(lambda z, p=problem: p.predict(z))(problem.standard(TRUTH))
-        found.append(with_values(problem.observations[0], values, 0.02 * values + 2e-4))
-    return found
+    problems = [stated(process) for process in PROCESSES]
+
+    @quick_jit
+    def spectra():
+        values = [p.predict(p.standard(TRUTH))[0] for p in problems]
+        return [(y, 0.02 * y + 2e-4) for y in values]
+
+    pairs = zip(problems, spectra(), strict=True)
+    return [with_values(p.observations[0], *seen) for p, seen in pairs]
 
 
 @pytest.fixture(scope="module")

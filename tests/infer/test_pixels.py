@@ -40,8 +40,8 @@ def starts(problem):
 def spectra(problem):
     random = np.random.default_rng(1)
     z = random.standard_normal((70, 4))
-    pairs = zip(problem.free, problem.priors, z.T, strict=True)
-    clean = predict_pixels(problem, {n: np.asarray(prior.value(x)) for n, prior, x in pairs})
+    values = np.asarray(jax.jit(jax.vmap(problem.natural))(z)).T
+    clean = predict_pixels(problem, dict(zip(problem.free, values, strict=True)))
     return clean + np.hypot(0.02 * clean, 2e-4) * random.standard_normal(clean.shape)
 
 

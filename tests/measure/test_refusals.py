@@ -33,24 +33,23 @@ DERIVATIVES = {
     ("what", "derivative"),
     [
         *(("pigment", d) for d in DERIVATIVES),
-        *((w, "jit of grad") for w in ("index", "incidence", "wavelength", "depth-resolved")),
+        *((w, "jit of grad") for w in ("index", "incidence", "depth-resolved")),
     ],
 )
 def test_analogue_monte_carlo_has_no_derivatives(what, derivative):
     process = ij.DEPTH_RESOLVED if what == "depth-resolved" else ij.ILIT_2006
 
     def value(x):
-        iris, cosine, grid = ij.Iris.of_level("low"), 1.0, SHORT
+        iris, cosine = ij.Iris.of_level("low"), 1.0
         if what == "index":
             iris = iris.replace(ipe_index=1 + x)
         elif what == "incidence":
             cosine = x
-        elif what == "wavelength":
-            grid = 500 + x[None]
         else:
             iris = iris.replace(eumelanin=x)
         solver = ij.MonteCarlo(100, lanes=16, process=process)
-        return ij.reflectance(iris, grid, cos_incidence=cosine, solver=solver, key=KEY).values.sum()
+        how = {"cos_incidence": cosine, "solver": solver, "key": KEY}
+        return ij.reflectance(iris, SHORT, **how).values.sum()
 
     with pytest.raises(NotImplementedError, match="MonteCarlo has no derivatives"):
         DERIVATIVES[derivative](value)(jnp.asarray(0.5))
