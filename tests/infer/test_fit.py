@@ -202,16 +202,11 @@ def test_misfit_is_no_failed_search(problem, measured):
     assert float(found.p_value) < 1e-6
     with pytest.raises(ValueError, match="does not produce these data"):
         fit(stepped, key=KEY, throw=True)
-    # A compiled program raises too.
-    blue = ij.spectrum([450.0, 550, 650], [0.05, 0.02, 1e-3])
-    stepped = ij.problem(blue, free=["gain"], solver=KubelkaMunk())
-    with pytest.raises(RuntimeError, match="does not produce these data"):
-        eqx.filter_jit(fit)(stepped, starts=1, throw=True)
 
 
-def test_blood_behind_a_slit():
+def test_blood_behind_a_slit_in_a_compiled_program():
     """Data by quadrature over a slit of 20 nm, by which light of single wavelengths would have 6 %
-    too little haemoglobin.
+    too little haemoglobin. A misfit raises here too.
     """
     fine, how = np.arange(350.0, 801, 1), {"solver": KubelkaMunk()}
     spectrum = np.asarray(ij.reflectance(ij.Iris.of_level("low"), fine, **how).values)
@@ -219,9 +214,15 @@ def test_blood_behind_a_slit():
     values = (passed @ spectrum) / passed.sum(1)
     seen = ij.spectrum(GRID, values, sd=0.005 * values, bands=20.0)
     stated = ij.problem(seen, fixed={"gain": 1.0, "noise": 1.0}, **how)
-    found = fit(stated, use_priors=False, starts=1).values
+    run = eqx.filter_jit(lambda problem: fit(problem, use_priors=False, starts=1, throw=True))
+    found = run(stated).values
     assert float(found["hemoglobin"]) == pytest.approx(0.084, rel=0.01)
     assert float(found["saturation"]) == pytest.approx(0.5, abs=0.01)
+    stepped = with_values(
+        stated.observations[0], jnp.asarray(np.where(GRID < 550, 1, 1.6) * values)
+    )
+    with pytest.raises(RuntimeError, match="does not produce these data"):
+        run(stated.with_observations(stepped))
 
 
 def test_several_searches_need_a_key():

@@ -1,5 +1,7 @@
 """Least squares of many rows in lanes: the minima of single searches, whatever the lanes."""
 
+import inspect
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -18,16 +20,23 @@ def valley(x, weight, narrow):
     return jnp.stack([narrow * (x[1] - x[0] ** 2), 1 - x[0], 0.1 * weight * x[0]]), narrow
 
 
+def until(tolerance):
+    """The solver to a tolerance that may be traced."""
+    at = lambda solver: (solver.rtol, solver.atol)  # noqa: E731
+    return eqx.tree_at(at, levenberg_marquardt(), (tolerance, tolerance))
+
+
 @eqx.filter_jit
 def compiled(rows, starts, lanes, max_steps, tolerance, count):
-    solver = levenberg_marquardt(tolerance, tolerance)
-    most = {"max_steps": max_steps, "count": count}
-    return least_squares_of_rows(valley, rows, starts, solver=solver, lanes=lanes, **most)
+    settings = {"solver": until(tolerance), "lanes": lanes, "count": count}
+    # Unchecked: its number of steps is traced, so that one program has several.
+    search = inspect.unwrap(least_squares_of_rows)
+    return search(valley, rows, starts, max_steps=max_steps, **settings)
 
 
 def in_lanes(rows=NARROW, starts=STARTS, lanes=4, max_steps=200, tolerance=1e-8, count=11):
-    rows, starts, count = map(jnp.asarray, (rows, starts, count))
-    return compiled(rows, starts, lanes, max_steps, tolerance, count)
+    numbers = map(jnp.asarray, (max_steps, tolerance, count))
+    return compiled(jnp.asarray(rows), jnp.asarray(starts), lanes, *numbers)
 
 
 @pytest.fixture(scope="module")
@@ -35,9 +44,10 @@ def four_lanes():
     return in_lanes()
 
 
-@eqx.filter_jit
-def singles(solver, narrow, start):
+@jax.jit
+def singles(tolerance):
     """Single searches, and where optimistix's own end."""
+    solver = until(tolerance)
 
     def single(row):
         narrow, start = row
@@ -45,7 +55,7 @@ def singles(solver, narrow, start):
         other = optx.least_squares(lambda x, n: valley(x, 1.0, n)[0], solver, start, narrow)
         return (found.x, found.cost, found.jacobian, found.aux, found.steps), other.value
 
-    return jax.lax.map(single, (narrow, start))
+    return jax.lax.map(single, (jnp.asarray(NARROW), jnp.asarray(STARTS)))
 
 
 def half_square(x, narrow):
@@ -53,7 +63,7 @@ def half_square(x, narrow):
 
 
 def test_rows_have_the_minima_of_single_searches(four_lanes):
-    each, _ = singles(levenberg_marquardt(), jnp.asarray(NARROW), jnp.asarray(STARTS))
+    each, _ = singles(1e-8)
     mine = four_lanes.x, four_lanes.cost, four_lanes.jacobian, four_lanes.aux, four_lanes.steps
     for found, expected in zip(mine, each, strict=True):
         np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
@@ -65,8 +75,8 @@ def test_the_minimum_is_the_last_point_that_was_reached():
     """A search to a loose tolerance ends where optimistix's own does, not a step before, and has
     the cost of that point: optimistix returns what the residuals were before.
     """
-    rough, loose = levenberg_marquardt(1e-2, 1e-2), in_lanes(tolerance=1e-2)
-    (x, cost, *_), expected = singles(rough, jnp.asarray(NARROW), jnp.asarray(STARTS))
+    (x, cost, *_), expected = singles(1e-2)
+    loose = in_lanes(tolerance=1e-2)
     np.testing.assert_allclose(x, expected, rtol=1e-9)
     np.testing.assert_allclose(cost, half_square(x.T, NARROW), rtol=1e-12)
     np.testing.assert_allclose(loose.x, expected, rtol=1e-6)

@@ -40,8 +40,8 @@ def starts(problem):
 def spectra(problem):
     random = np.random.default_rng(1)
     z = random.standard_normal((70, 4))
-    pairs = zip(problem.free, problem.priors, z.T, strict=True)
-    clean = predict_pixels(problem, {n: np.asarray(prior.value(x)) for n, prior, x in pairs})
+    values = np.asarray(jax.jit(jax.vmap(problem.natural))(z)).T
+    clean = predict_pixels(problem, dict(zip(problem.free, values, strict=True)))
     return clean + np.hypot(0.02 * clean, 2e-4) * random.standard_normal(clean.shape)
 
 
@@ -84,7 +84,7 @@ def test_a_pixel_depends_on_its_own_spectrum_and_the_table(problem, starts, spec
         some = fit_pixels(problem, spectra[3:68], starts, pool.map)
     np.testing.assert_array_equal(some.values, found.values[3:68])
     np.testing.assert_array_equal(some.covariance, found.covariance[3:68])
-    again = fit_pixels(problem, spectra[:8], starts_at(problem, found.z))
+    again = fit_pixels(problem, spectra[:8], starts_at(problem, found.z[:16]))
     assert (np.abs(again.values - found.values[:8]) < 0.15 * found.sd[:8]).all()
 
 

@@ -9,6 +9,7 @@ import pytest
 import scipy.integrate
 
 import irisjax as ij
+from experiments.closed_formulas import KubelkaMunk
 from irisjax import io
 
 GRID = ij.wavelengths(440, 680, 40)
@@ -16,7 +17,8 @@ SHAPES = {
     "gaussian": lambda x: np.exp(-4 * np.log(2) * x**2),
     "boxcar": lambda x: float(abs(x) <= 0.5),
 }
-FEW = ij.IlitExact(12, process=ij.ILIT_CORRECTED)  # compiles soonest
+FEW = ij.IlitExact(12, process=ij.ILIT_CORRECTED)  # compiles soonest of those with a BRDF
+CLOSED = KubelkaMunk()
 LOW = ij.Iris.of_level("low")
 
 
@@ -40,8 +42,8 @@ def test_means_are_those_of_quadrature(shape, width):
 def test_readings_are_means_of_fine_readings():
     bands = ij.Passbands.slit(GRID, 15.0)
     x = np.asarray(bands.wavelengths)
-    each = ij.reflectance(LOW, x, solver=FEW)
-    found = ij.reflectance(LOW, GRID, solver=FEW, bands=15.0)
+    each = ij.reflectance(LOW, x, solver=CLOSED)
+    found = ij.reflectance(LOW, GRID, solver=CLOSED, bands=15.0)
     np.testing.assert_allclose(found.wavelengths, GRID)
     fine = ij.wavelengths(400, 720, 1)
     weights = np.exp(-4 * np.log(2) * ((fine - GRID[:, None]) / 15) ** 2)
@@ -53,14 +55,14 @@ def test_readings_are_means_of_fine_readings():
     seen = ij.Spectrophotometer(GRID, bands=15.0)
 
     def total(load):
-        return ij.observe(LOW.replace(melanin_load=load), seen, FEW).values.sum()
+        return ij.observe(LOW.replace(melanin_load=load), seen, CLOSED).values.sum()
 
     slope, off = jax.jit(jax.grad(total))(0.1), 1e-4
     difference = (total(0.1 + off) - total(0.1 - off)) / (2 * off)
     assert float(slope) == pytest.approx(float(difference), rel=1e-5)
     # A radiance is the mean of products with the illuminant.
     light = ij.measure.illuminant_power("A", x) * float(ij.Media().inward(1.0)[0]) / np.pi
-    found = ij.radiance(LOW, GRID, solver=FEW, illuminant="A", bands=15.0)
+    found = ij.radiance(LOW, GRID, solver=CLOSED, illuminant="A", bands=15.0)
     np.testing.assert_allclose(found.values, bands.weights @ (light * each.values), rtol=1e-12)
 
 

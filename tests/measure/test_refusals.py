@@ -11,6 +11,7 @@ import pytest
 
 import irisjax as ij
 from common import quick_jit
+from experiments.closed_formulas import KubelkaMunk
 
 GRID = ij.wavelengths(400, 700, 10)
 SHORT = (450.0, 550.0, 650.0)
@@ -32,24 +33,23 @@ DERIVATIVES = {
     ("what", "derivative"),
     [
         *(("pigment", d) for d in DERIVATIVES),
-        *((w, "jit of grad") for w in ("index", "incidence", "wavelength", "depth-resolved")),
+        *((w, "jit of grad") for w in ("index", "incidence", "depth-resolved")),
     ],
 )
 def test_analogue_monte_carlo_has_no_derivatives(what, derivative):
     process = ij.DEPTH_RESOLVED if what == "depth-resolved" else ij.ILIT_2006
 
     def value(x):
-        iris, cosine, grid = ij.Iris.of_level("low"), 1.0, SHORT
+        iris, cosine = ij.Iris.of_level("low"), 1.0
         if what == "index":
             iris = iris.replace(ipe_index=1 + x)
         elif what == "incidence":
             cosine = x
-        elif what == "wavelength":
-            grid = 500 + x[None]
         else:
             iris = iris.replace(eumelanin=x)
         solver = ij.MonteCarlo(100, lanes=16, process=process)
-        return ij.reflectance(iris, grid, cos_incidence=cosine, solver=solver, key=KEY).values.sum()
+        how = {"cos_incidence": cosine, "solver": solver, "key": KEY}
+        return ij.reflectance(iris, SHORT, **how).values.sum()
 
     with pytest.raises(NotImplementedError, match="MonteCarlo has no derivatives"):
         DERIVATIVES[derivative](value)(jnp.asarray(0.5))
@@ -137,7 +137,8 @@ WRONG = {
 def test_wrong_values_raise_in_a_trace_too(what, how):
     bad, made = WRONG[what]
     iris = ij.Iris.of_level("low")
-    run = HOW[how](lambda x: ij.reflectance(*made(iris, x), solver=FEW).values.sum())
+    solver = KubelkaMunk() if how == "vmap" else FEW
+    run = HOW[how](lambda x: ij.reflectance(*made(iris, x), solver=solver).values.sum())
     # An error of XLA or of Equinox: both are RuntimeErrors.
     with pytest.raises(RuntimeError, match="optical depth is negative or not finite"):
         jax.block_until_ready(run(jnp.asarray(bad)))
@@ -163,11 +164,12 @@ def test_colour_of_whole_numbers():
 
 def test_wavelengths_in_whole_numbers():
     whole = np.arange(400, 701, 20)
-    expected = ij.reflectance(ij.Iris(), whole.astype(float), solver=FEW)
+    how = {"solver": KubelkaMunk()}
+    expected = ij.reflectance(ij.Iris(), whole.astype(float), **how)
     for grid in (whole, whole.tolist(), jnp.asarray(whole)):
-        found = ij.reflectance(ij.Iris(), grid, solver=FEW)
+        found = ij.reflectance(ij.Iris(), grid, **how)
         jax.tree.map(np.testing.assert_array_equal, found, expected)
-    traced = quick_jit(lambda w: ij.reflectance(ij.Iris(), w, solver=FEW))(whole)
+    traced = quick_jit(lambda w: ij.reflectance(ij.Iris(), w, **how))(whole)
     jax.tree.map(partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-9), traced, expected)
 
 

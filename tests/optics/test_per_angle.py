@@ -58,7 +58,6 @@ def test_kernel(mu, other, bits):
     ("breaks", "error"),
     [
         ((), 1e-10),
-        ((0.0223,), 1e-10),
         ((0.0223, -0.2), 1e-10),
         ((0.3, 0.3), 1e-10),
         ((1e-4, 0.9), 1e-9),  # as the docstring says of break points next to 0

@@ -175,8 +175,8 @@ def test_fields_are_arrays_so_that_values_do_not_retrace():
 
     f(ij.Iris.of_level("low"))
     f(ij.Iris.of_level("high"))
-    f(ij.Iris.of_level("high").replace(eumelanin=0.3, abl_fraction=0.1))
-    f(ij.Iris(eumelanin=0.7))
+    f(ij.Iris.of_level("high").replace(eumelanin=0.3, abl_fraction=np.float64(0.1)))
+    f(ij.Iris(eumelanin=0.7).replace(stroma_thickness=jax.numpy.asarray(0.3)))
     assert len(traces) == 1
 
 

@@ -65,11 +65,14 @@ IRIDES = [
 ]
 
 
+_layers_of = quick_jit(ij.Iris.layers)
+
+
 @pytest.mark.parametrize("row", IRIDES, ids=lambda r: f"{r[0]}-{r[1]}")
 def test_irides(row):
     level, nm, reflectance, error, radiance, radiance_error, crossed = row
     iris = ij.Iris.of_level(level).replace(abl_fraction=0.5)
-    found = solve(iris.layers(ij.extinction([float(nm)])))
+    found = solve(_layers_of(iris, ij.extinction([float(nm)])))
     whole = float((found.reflectance + found.mirrored)[0])
     assert whole == pytest.approx(reflectance, abs=3 * error)
     matrix = np.pi * np.asarray(found.polarisation.brdf)[0, 0]
@@ -156,28 +159,24 @@ def test_along_the_normal_no_direction_is_preferred():
     np.testing.assert_allclose(matrix[:, 1, 0], 0, atol=1e-15)
 
 
-def _by_intensity_alone():
-    """Rayleigh's matrix with all but its first element taken away: half of it for either wave."""
-    return tuple(
-        PolarisedMode(
-            mode.order,
-            tuple(0.5 * x for x in mode.strength),
-            (mode.parity, mode.parity, 1),
-            lambda mu, mode=mode: jnp.stack([mode.functions(mu)] * 2, 1),
-            *(None,) * 3,
-        )
-        for mode in MODES
-    )
-
-
 def test_scalar_limit():
-    """With the phase matrix's first element in its place, between equal media: scalar theory."""
-    made, lit = layers(*HARD, (1.4, 1.4, 1.4, 1.4)), common.light(0.6, EXITS, AZIMUTH)
-    run = quick_jit(lambda x: solve_polarised(x, lit, 12, (4, 1), _by_intensity_alone())[0])
-    found, scalar = run(made), common.solve(ij.RadiativeExact(12, 4, 1), made, 0.6, EXITS, AZIMUTH)
-    for name in ("reflectance", "brdf"):
-        np.testing.assert_allclose(getattr(found, name), getattr(scalar, name), rtol=1e-12)
+    """With the phase matrix's first element in its place (half of it for either wave), between
+    equal media: scalar theory, here in the mean over azimuths.
+    """
+    exits, azimuth = np.repeat([0.9, 0.3], 3), np.tile(np.arange(3) * 2 * np.pi / 3, 2)
+    made, lit = layers(*HARD, (1.4, 1.4, 1.4, 1.4)), common.light(0.6, exits, azimuth)
+    scalar = common.solve(ij.RadiativeExact(12, 4, 1), made, 0.6, exits, azimuth)
+    halves = tuple(0.5 * x for x in MODES[0].strength)
+
+    def linear(mu):
+        return jnp.stack([MODES[0].functions(mu)] * 2, 1)
+
+    mode = PolarisedMode(0, halves, (1, 1, 1), linear, None, None, None)
+    found = quick_jit(lambda x: solve_polarised(x, lit, 12, (4, 1), (mode,))[0])(made)
+    np.testing.assert_allclose(found.reflectance, scalar.reflectance, rtol=1e-12)
     np.testing.assert_allclose(found.ipe, scalar.absorbed.ipe, rtol=1e-12)
+    means = np.reshape(scalar.brdf, (-1, 2, 3)).mean(2)
+    np.testing.assert_allclose(np.asarray(found.brdf)[:, ::3], means, rtol=1e-12)
 
 
 @pytest.mark.parametrize("media", [IRIS, (1.2, 1.5, 1.3, 1.6), TURNING])
@@ -283,6 +282,44 @@ def test_extremes(media, deepest, bits):
             i, *rest = np.moveaxis(matrices @ np.array(light, float), -1, 0)
             excess = np.linalg.norm(rest, axis=0) - i
             assert (excess < slack * (1e-6 + np.abs(matrices).max())).all()
+
+
+def _seen_by(meter):
+    """What a polarimeter or analyser looks at, and its factor on light."""
+    factor, lit = meter.incident()
+    made = _layers_of(ij.Iris.of_level("low"), meter.pigments, 1.336)
+    exits = lit.exits and (np.asarray(x) for x in (lit.exits.cosine, lit.exits.azimuth))
+    return solve(made, float(lit.cosine), *(exits or ([1.0], [0.0]))), factor
+
+
+@quick_jit
+def _read(instrument, solution, factor):
+    with jax.numpy_dtype_promotion("standard"), jax.numpy_rank_promotion("allow"):
+        return instrument.reading(solution, factor)
+
+
+@pytest.mark.parametrize("where", [1.0, 0.6, "hemisphere"])
+def test_both_analysers_make_the_whole(where):
+    """Of unpolarised light: the mean over two polarisers of the sum over both analysers."""
+    settings = {"cos_exit": where, "cos_incidence": 0.8, "azimuth": 0.7}
+    total = 0.0
+    for setting, polariser in itertools.product(("crossed", "parallel"), (0.3, 0.3 + np.pi / 2)):
+        analyser = ij.Analyser([450.0, 620.0], setting, polariser=polariser, **settings)
+        solution, factor = _seen_by(analyser)
+        values = np.asarray(_read(analyser, solution, factor).values)
+        assert (values > 0).all()
+        total = total + 0.5 * values
+    whole = np.asarray(solution.reflectance) + np.asarray(solution.mirrored)
+    wanted = whole if where == "hemisphere" else np.pi * np.asarray(solution.brdf)[:, 0]
+    np.testing.assert_allclose(total, wanted, rtol=1e-10)
+
+
+def test_far_from_the_normal_light_is_polarised_across_the_plane():
+    meter = ij.Polarimeter([450.0, 620.0], cos_exit=0.5)
+    seen = _read(meter, *_seen_by(meter))
+    assert (np.asarray(seen.values) > 0.3).all()
+    np.testing.assert_allclose(np.abs(seen.angle), np.pi / 2, atol=1e-6)
+    assert seen.stokes.shape == (2, 4)
 
 
 @pytest.mark.slow

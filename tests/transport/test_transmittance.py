@@ -16,10 +16,10 @@ from irisjax.transport.defaults import quickest
 WAVES = np.array([450.0, 550.0, 650.0])
 PALE = ij.Iris.of_level("low")
 SOLVERS = {
-    "ilit": ij.IlitExact(16),
+    "ilit": ij.IlitExact(16, process=ij.ILIT_CORRECTED),
     "radiative": ij.RadiativeExact(28),
     "doubling": ij.AddingDoubling(20, 8),
-    "polarised": ij.RadiativeExact(12, process=ij.POLARISED),
+    "polarised": ij.RadiativeExact(12, 4, 2, process=ij.POLARISED),
 }
 COSINE = 0.8
 
@@ -29,15 +29,30 @@ def layers_with(mass):
     return iris.layers(extinction(WAVES))
 
 
+# The programs of these give the derivatives too.
+WITH_SLOPES = "ilit", "radiative"
+
+
 @functools.cache
 def solved(name, mass):
-    """One program a solver."""
-    return run(PALE.replace(ipe_melanin=mass), SOLVERS[name])
+    """One program a solver, and one for those whose pigment epithelium is black."""
+    mass = mass if mass is None else np.float64(mass)
+    return run(name, mass, *np.array([0.1201, 1.0, 0.0]))[0]
 
 
-@functools.partial(quick_jit, static_argnums=1)
-def run(iris, solver):
-    return solver.solve(iris.layers(extinction(WAVES)), ij.Light(COSINE))
+@functools.partial(quick_jit, static_argnums=0)
+def run(name, mass, eumelanin, *way):
+    """What a solver finds, and how the transmittance changes along a way in both pigments."""
+
+    def solve(mass, eumelanin):
+        iris = PALE.replace(ipe_melanin=mass, eumelanin=eumelanin)
+        found = SOLVERS[name].solve(iris.layers(extinction(WAVES)), ij.Light(COSINE))
+        return found.transmitted, found
+
+    if mass is None or name not in WITH_SLOPES:
+        return solve(mass, eumelanin)[1], None
+    _, slope, found = jax.jvp(solve, (mass, eumelanin), way, has_aux=True)
+    return found, slope
 
 
 @pytest.mark.parametrize("name", SOLVERS)
@@ -168,35 +183,27 @@ def test_polarisation_changes_little_of_it():
     assert (polarised != scalar).all()
 
 
-@pytest.mark.parametrize("name", ["ilit", "radiative"])
-def test_photons(name):
-    photons = ij.MonteCarlo(100_000, process=SOLVERS[name].process)
+def test_photons_of_radiative_transfer():
+    photons = ij.MonteCarlo(100_000, process=ij.DEPTH_RESOLVED)
     found = quick_jit(photons.solve)(layers_with(0.5), ij.Light(COSINE), key=jax.random.key(3))
-    expected = solved(name, 0.5)
-    z = (found.transmitted - expected.transmitted) / found.transmitted_error
-    assert np.abs(z).max() < 4
-    kept = (found.absorbed.ipe - expected.absorbed.ipe) / np.sqrt(expected.absorbed.ipe / 1e5)
-    assert np.abs(kept).max() < 4
+    check_photons(found.transmitted, found.transmitted_error, found, "radiative")
     np.testing.assert_allclose(found.energy, 1, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    "solver",
-    [ij.IlitExact(8), ij.RadiativeExact(8, 4)],
-    ids=("ilit", "radiative"),
-)
-def test_derivatives(solver):
-    names = "ipe_melanin", "eumelanin"
+def check_photons(transmitted, error, found, name):
+    expected = solved(name, 0.5)
+    assert np.abs((transmitted - expected.transmitted) / error).max() < 4
+    for kept, exact in zip(*map(jax.tree.leaves, (found.absorbed, expected.absorbed)), strict=True):
+        assert (np.abs(kept - exact) < 4 * np.sqrt(exact / 1e5)).all()
 
-    def transmitted(values):
-        iris = PALE.replace(**dict(zip(names, values, strict=True)))
-        return solver.solve(iris.layers(extinction(WAVES)), ij.Light(1.0)).transmitted
 
-    run = quick_jit(lambda at, way: jax.jvp(transmitted, (at,), (way,)))
-    at = jnp.array([0.5, 0.1])
+@pytest.mark.parametrize("name", WITH_SLOPES)
+def test_derivatives(name):
+    at = np.array([0.5, 0.1])
     for way in np.eye(2):
-        (high, _), (low, _) = (run(at + h * way, way) for h in (1e-4, -1e-4))
-        np.testing.assert_allclose(run(at, way)[1], (high - low) / 2e-4, rtol=1e-5)
+        high, low = (run(name, *(at + h * way), *way)[0].transmitted for h in (1e-4, -1e-4))
+        slope = run(name, *at, *way)[1]
+        np.testing.assert_allclose(slope, (high - low) / 2e-4, rtol=1e-5)
 
 
 def test_who_has_a_black_epithelium_says_so():
@@ -205,14 +212,17 @@ def test_who_has_a_black_epithelium_says_so():
         solver.solve(layers_with(0.5), ij.Light(1.0))
 
 
-def test_the_instrument():
-    iris = PALE.replace(ipe_melanin=0.5)
-    read = ij.transmittance(iris, WAVES, cos_incidence=COSINE, solver=SOLVERS["ilit"])
-    wanted = solved("ilit", 0.5)
-    np.testing.assert_allclose(read, wanted.transmitted, rtol=1e-12)
+def test_the_instrument_and_photons_of_ilit():
+    iris, seen = PALE.replace(ipe_melanin=0.5), ij.Transmissometer(WAVES, cos_incidence=COSINE)
+    exact = solved("ilit", 0.5)
+    read = seen.reading(exact, jnp.ones(()))
+    np.testing.assert_array_equal(read, exact.transmitted)
     assert read.quantity == "transmittance"
     shares = read.absorbed.total() + read.transmitted + read.mirrored
-    np.testing.assert_allclose(shares + wanted.reflectance, 1, rtol=1e-12)
+    np.testing.assert_allclose(shares + exact.reflectance, 1, rtol=1e-12)
+    photons, key = ij.MonteCarlo(100_000, process=ij.ILIT_CORRECTED), jax.random.key(3)
+    read = ij.transmittance(iris, WAVES, cos_incidence=COSINE, solver=photons, key=key)
+    check_photons(read.values, read.standard_error, read, "ilit")
     with pytest.raises(ValueError, match="no light gets behind a black pigment epithelium"):
         ij.transmittance(PALE, WAVES)
     with pytest.raises(ValueError, match="a picture has nothing behind the iris"):
