@@ -39,7 +39,10 @@ def test_a_file_runs_again_to_the_same_bytes(irisjax, quick, tmp_path, arguments
     assert irisjax(arguments[0], "--from", path) == (0, path.read_text(), "")
 
 
-@pytest.mark.parametrize("name", ["iris_low", "simulated_high", "simulated_moderate_scans"])
+_SPECTRA = sorted(p.stem for p in DATA.glob("spectra/*.csv"))
+
+
+@pytest.mark.parametrize("name", ["iris_low", *_SPECTRA])
 def test_data_that_ship_run_again(irisjax, printed, name):
     """To the same settings and, platforms' last digits aside, to the same values."""
     path = DATA / ("." if name == "iris_low" else "spectra") / f"{name}.csv"

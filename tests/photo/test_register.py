@@ -66,9 +66,11 @@ IDENTITY = np.eye(2, 3)
 HIGHLIGHTS = [(140, 110, 16), (215, 180, 9)]
 
 
-def test_a_similarity_is_found_to_half_a_pixel():
-    scale, turn = 1.31, np.pi / 2
-    transform = similarity(scale, turn, (20.0, 31.0))
+@pytest.mark.parametrize(
+    ("scale", "turn", "shift"), [(0.83, -0.21, (-11.0, 3.0)), (1.31, np.pi / 2, (20.0, 31.0))]
+)
+def test_a_similarity_is_found_to_half_a_pixel(scale, turn, shift):
+    transform = similarity(scale, turn, shift)
     first = photograph(IDENTITY, SHAPE, HIGHLIGHTS, slope=0.6)
     second = photograph(transform, (430, 460), tint=(0.5, 0.4, 0.25), slope=-0.5)
     # Outlines as a detector finds them, 1 % off.
