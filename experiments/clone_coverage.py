@@ -46,7 +46,7 @@ POSTERIORS += ("rank", "draws", "z", "contraction")
 PICTURES = ("eye", "result", "seconds", "pupil_radius", "tilt_deg", "tilt_deg_found")
 PICTURES += ("lamp_deg", "lamps_found", "lamp_off_deg", "limbus_off_px", "pupil_off_px")
 PICTURES += ("limbus_confidence", "pupil_confidence", "thickness_response", "rms_red", "rms_green")
-PICTURES += ("rms_blue", "steps", "autocorrelation_times")
+PICTURES += ("rms_blue", "rounds", "effective_samples")
 SUMMARY = ("parameter", "eyes", *(f"{k}_{p}" for p in LEVELS for k in ("covered", "low", "high")))
 SUMMARY += ("p_chi_square", "p_kolmogorov", "mean_z", "sd_z", "contraction")
 
@@ -93,7 +93,7 @@ def _cloned(photograph: Photograph, given: Given, seed: int) -> tuple[Outlined, 
     except ValueError as error:
         return found, f"refused: {error}"
     assert isinstance(found, Sampled)
-    return found, found.posterior.chains.reason
+    return found, "" if found.posterior.converged else "too few effective samples"
 
 
 def _posterior(eye: int, truth: Truth, found: Sampled, random: np.random.Generator) -> list[tuple]:
@@ -132,12 +132,11 @@ def _picture(eye: int, truth: Truth, found: Outlined, result: str, seconds: floa
         cosines = np.asarray(found.lighting.lamps.towards) @ lamp
         off = float(np.degrees(np.arccos(np.clip(cosines, -1, 1))).min())
     rms = np.full(3, nan)
-    steps = taus = nan
+    rounds = effective = nan
     if isinstance(found, Fitted):
         rms = found.fit.rms
     if isinstance(found, Sampled):
-        chains = found.posterior.chains
-        steps, taus = chains.steps, float(chains.steps / chains.tau.max())
+        rounds, effective = found.posterior.rounds, found.posterior.effective
     return (
         *(eye, result, seconds, float(scene.eye.pupil_radius)),
         *(
@@ -150,7 +149,7 @@ def _picture(eye: int, truth: Truth, found: Outlined, result: str, seconds: floa
         *(boundaries.limbus_confidence, boundaries.pupil_confidence),
         found.morphology.response if isinstance(found, Fitted) else nan,
         *(float(v) for v in rms),
-        *(steps, taus),
+        *(rounds, effective),
     )
 
 

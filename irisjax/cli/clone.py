@@ -138,9 +138,6 @@ class CloneModel(opt.Group, panel="Model"):
         "the same as render names it, with F09's renderer, single-scattering, among them",
         _INTEGRATORS,
     )
-    max_steps: int = opt.whole(
-        "most steps of the posterior's chain", Range(150, 100_000), _DEFAULTS.steps
-    )
     seed: int = opt.seeded("files, but for the seconds in clone.json")
 
 
@@ -192,9 +189,9 @@ def clone_command(
 
     Exit status: 0; 3 with warnings if an outline is doubtful (give --limbus and
     --pupil), a stage fails (the results of those before it are written), the model
-    does not follow the photograph, the chain is not long enough, or a photograph of
-    a --batch failed (doubtful ones are counted, and marked in the table); 2 for
-    wrong input.
+    does not follow the photograph, the posterior has too few effective samples, or a
+    photograph of a --batch failed (doubtful ones are counted, and marked in the
+    table); 2 for wrong input.
     """
     if (picture.photograph is None) == (results.batch is None):
         sources = "the PHOTO of an eye, or --batch with a folder of photographs"
@@ -432,7 +429,6 @@ def _settings(picture: ClonePicture, model: CloneModel) -> cloning.CloneSettings
         azimuth=None if azimuth is None else float(np.radians(azimuth)),
         sigma=None if isinstance(sigma, str) else sigma,
         integrator=integrator(),
-        steps=model.max_steps,
         **{n: getattr(model, n) for n in ("media", "iris_depth", "beta", "method")},
     )
 

@@ -7,7 +7,7 @@ tempered first, that is taken to a power below one [Del Moral et al. 2006, Secti
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -54,12 +54,14 @@ class ImportanceSample(NamedTuple):
     Attributes:
         effective: Number of effective draws [Kong 1992]; the `samples` have equal weights.
         log_integral: Logarithm of the mean weight: of a likelihood times a prior, the evidence.
+        wanted: Number of effective draws at which sampling was to end.
     """
 
     samples: Float[np.ndarray, "draws free"]
     effective: float
     log_integral: float
     rounds: int
+    wanted: int = EFFECTIVE
 
     @property
     def error(self) -> float:
@@ -69,7 +71,7 @@ class ImportanceSample(NamedTuple):
     @property
     def enough(self) -> bool:
         """Whether the samples represent the density."""
-        return self.effective >= EFFECTIVE
+        return self.effective >= self.wanted
 
 
 def importance_sample(
@@ -78,9 +80,12 @@ def importance_sample(
     random: np.random.RandomState,
     progress: Callable[[int], object] = lambda rounds: None,
     *,
+    others: Sequence[Approximation] = (),
     rounds: int = ROUNDS,
+    effective: int = EFFECTIVE,
 ) -> ImportanceSample:
-    """Sample a density of z whose priors are standard normal; it can miss a second, far mode.
+    """Sample a density of z whose priors are standard normal; it can miss a second, far mode of
+    which no approximation is given.
 
     Args:
         log_density: Function of z (n, free) that returns (n,).
@@ -88,12 +93,17 @@ def importance_sample(
             density may be large and is itself refined [Cappé et al. 2008].
         random: Source of all draws.
         progress: Called with the number of rounds done.
+        others: Approximations at other maxima of the density.
         rounds: Largest number of rounds.
+        effective: Number of effective draws at which sampling ends.
 
     Raises:
         ValueError: If no draw at all has a density above zero.
     """
-    first = start if isinstance(start, Mixture) else _InitialProposal(*complete(log_density, start))
+    if isinstance(start, Mixture):
+        first = start
+    else:
+        first = _InitialProposal([complete(log_density, known) for known in (start, *others)])
     proposals: list[Mixture | _InitialProposal | Proposal] = [first]
     new = first.draw(DRAWS, random)
     z, values, proposed = new, log_density(new), first.log_density(new)
@@ -103,9 +113,9 @@ def importance_sample(
         if not np.isfinite(log_weight).any():
             raise ValueError("no draw round the least-squares fit has a probability above zero")
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
-        effective, power = _effective(log_weight, 1.0), _tempering_power(log_weight)
+        found, power = _effective(log_weight, 1.0), _tempering_power(log_weight)
         weights, last = softmax(power * log_weight), proposals[-1]
-        if effective >= EFFECTIVE or len(proposals) == rounds:
+        if found >= effective or len(proposals) == rounds:
             break
         if isinstance(last, Mixture):
             proposals.append(last.adapted(z, weights))
@@ -118,9 +128,10 @@ def importance_sample(
         proposed = np.logaddexp(proposed, proposals[-1].log_density(z))
         proposed = np.append(proposed, np.logaddexp.reduce([p.log_density(new) for p in proposals]))
         z, values = np.concatenate([z, new]), np.append(values, log_density(new))
-    samples = z[resample(weights, DRAWS, random)]
+    count = max(DRAWS, effective) if found >= effective else DRAWS
+    samples = z[resample(weights, count, random)]
     log_integral = float(np.logaddexp.reduce(log_weight) - math.log(len(z)))
-    return ImportanceSample(samples, effective, log_integral, len(proposals))
+    return ImportanceSample(samples, found, log_integral, len(proposals), effective)
 
 
 def complete(
@@ -146,18 +157,21 @@ def complete(
 
 
 class _InitialProposal:
-    """Wide t distributions about the approximation and the priors, which may be far apart."""
+    """Wide t distributions about the approximations and the priors, which may be far apart."""
 
-    def __init__(self, mean: np.ndarray, covariance: np.ndarray):
-        moments: Any = (mean, 4 * covariance), (np.zeros(len(mean)), 2 * np.eye(len(mean)))
-        self._both = [stats.multivariate_t(m, c, df=DEGREES) for m, c in moments]
+    def __init__(self, approximations: list[tuple[np.ndarray, np.ndarray]]):
+        free = len(approximations[0][0])
+        moments: list[Any] = [(mean, 4 * covariance) for mean, covariance in approximations]
+        moments.append((np.zeros(free), 2 * np.eye(free)))
+        self._all = [stats.multivariate_t(m, c, df=DEGREES) for m, c in moments]
 
     def draw(self, count: int, random: np.random.RandomState) -> np.ndarray:
-        draws = [t.rvs(count // 2, random_state=random).reshape(count // 2, -1) for t in self._both]
-        return np.concatenate(draws)
+        counts = map(len, np.array_split(np.arange(count), len(self._all)))
+        each = zip(self._all, counts, strict=True)
+        return np.concatenate([t.rvs(n, random_state=random).reshape(n, -1) for t, n in each])
 
     def log_density(self, z: np.ndarray) -> np.ndarray:
-        return np.logaddexp(*(t.logpdf(z) for t in self._both)) - math.log(2)
+        return np.logaddexp.reduce([t.logpdf(z) for t in self._all]) - math.log(len(self._all))
 
 
 def _effective(log_weight, power: float) -> float:

@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
+from irisjax.infer.importance import DRAWS
 from irisjax.io.images import encode_exr, encode_png
 from irisjax.io.maps import encode_maps
 from irisjax.io.scenes import scene_text
@@ -171,19 +172,16 @@ def summary_of(
             "table_error": texels.error,
         }
     if isinstance(clone, Sampled):
-        chains = clone.posterior.chains
+        sampled = clone.posterior
         fields |= {
             "posterior": {
                 name: dict(zip(_OF_ESTIMATE, e, strict=True)) | {"unit": PIGMENT_UNITS[name]}
-                for name, e in clone.posterior.estimates.items()
+                for name, e in sampled.estimates.items()
             },
-            "chain": {
-                "converged": chains.converged,
-                "reason": chains.reason,
-                "steps": chains.steps,
-                "autocorrelation_steps": np.max(chains.tau),
-                "r_hat": np.max(chains.rhat),
-                "effective_samples": min(chains.ess_bulk.min(), chains.ess_tail.min()),
+            "sampling": {
+                "converged": sampled.converged,
+                "effective_samples": sampled.effective,
+                "draws": sampled.rounds * DRAWS,
             },
         }
     sentences = {kind: [d.sentence for d in doubts if d.kind == kind] for kind in DOUBTS}

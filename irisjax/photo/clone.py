@@ -108,7 +108,6 @@ class CloneSettings(NamedTuple):
         beta: β of Eq. 7 (mm); `None` takes the model's own response of brightness to thickness.
         method: Search for the pigments, one of `METHODS`.
         integrator: Model of light in the iris.
-        steps: Most steps of the posterior's chain.
     """
 
     media: str = "cornea-aqueous"
@@ -119,7 +118,6 @@ class CloneSettings(NamedTuple):
     beta: float | None = None
     method: str = "least-squares"
     integrator: Separable | RadiativeIntegrator = Separable()
-    steps: int = 8000
 
 
 class Given(NamedTuple):
@@ -670,8 +668,7 @@ def tint_of_white(
 
 def sample_clone(fitted: Coloured, settings: CloneSettings, *, key: PRNGKey) -> Sampled:
     """Sample the posterior of the pigments."""
-    known = fitted.windows, fitted.base, fitted.fit
-    posterior = pigments.sample_pigments(*known, max_steps=settings.steps, key=key)
+    posterior = pigments.sample_pigments(fitted.windows, fitted.base, fitted.fit, key=key)
     return Sampled(**vars(fitted), posterior=posterior)
 
 

@@ -98,8 +98,11 @@ def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tup
             f"the picture that the pigments make differs from the photograph by {per_cent(rms)} % "
             "RMS (R, G, B): a reflection, a shadow or an iris that the model does not have"
         )
-    if isinstance(found, Sampled) and not found.posterior.chains.converged:
-        model.append(f"{found.posterior.chains.reason}; raise --max-steps")
+    if isinstance(found, Sampled) and not found.posterior.converged:
+        model.append(
+            f"the intervals of the pigments are rough: their samples count as "
+            f"{found.posterior.effective:.0f} independent ones, not as {pigments.EFFECTIVE}"
+        )
     return (*doubts, *(Doubt("model", said) for said in model))
 
 

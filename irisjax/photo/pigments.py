@@ -17,7 +17,6 @@ import math
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -26,15 +25,16 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, ArrayLike, Bool, Float
+from scipy import stats
+from scipy.stats import qmc
 
 from irisjax._types import PRNGKey, Scalar
-from irisjax.infer import posterior
-from irisjax.infer.importance import Start
+from irisjax.infer.importance import Start, importance_sample
 from irisjax.infer.least_squares import least_squares, levenberg_marquardt
-from irisjax.infer.posterior import Chains
 from irisjax.infer.priors import AbstractPrior, LogNormal
 from irisjax.numerics import linear
 from irisjax.numerics.chunks import map_rows
+from irisjax.numerics.streams import words_of
 from irisjax.photo.windows import ANGLES, RINGS, Windows
 from irisjax.tissue.iris import CONCENTRATIONS, Iris
 
@@ -78,18 +78,16 @@ _CLOSE = 1e-3  # tolerance of the search, in standard deviations of the prior
 # little in simulated photographs; a camera's curve adds to it.
 _EXPOSURE_SPREAD = 0.15
 _FLOOR = 0.01  # of the photograph's mean, below which colours do not count
-# Standard normal numbers of the first parameters, up to the scattering, with which searches begin:
-# with one strength of scattering they miss optima by radiative transfer.
-_STARTS = np.array(
-    [
-        [0, 0, 0, 0, 0, -1],
-        [-1.5, -1.5, -1, -1, 0, -2],
-        [1, 0, 1, 0, 0, 0.5],
-        [-1, 1, -1, 1, 0, -1],
-    ]
-)
-WALKERS = 48
-_ROWS = WALKERS // 4  # densities computed at a time: half of those that a step of emcee needs
+# Searches begin at the most probable draws of the priors that are so far apart, in standard
+# deviations of one parameter. The posterior often has several maxima, such as a dark iris in much
+# light and one that scatters strongly in little: from four fixed starts the highest was missed in
+# two of six photographs of people.
+_DRAWN, _SEARCHES, _APART = 2048, 8, 1.5
+_NEAR = 2.0  # standard deviations within which two searches have found one maximum
+_LOWER = 12.0  # by which a maximum's log density is lower than the highest and does not matter
+EFFECTIVE, _ROUNDS = 4096, 32
+"""Effective draws of a posterior that are wanted; most rounds of importance sampling for them."""
+_ROWS = 12  # densities computed at a time
 _EUMELANIN, _PHEOMELANIN = slice(0, 4, 2), slice(1, 4, 2)  # of the concentrations, which are first
 _OF_CONCENTRATIONS: list[Any] = [PRIORS[name] for name in CONCENTRATIONS]
 _CENTRES = np.log([prior.median for prior in _OF_CONCENTRATIONS]).reshape(2, 2).T
@@ -131,6 +129,7 @@ class PigmentFit(NamedTuple):
         steps: Number of steps.
         converged: Whether the search ended by itself.
         log: Course of the search, a row of numbers by name for each turn.
+        others: Other maxima of the posterior, in normal approximation of `z`.
     """
 
     values: dict[str, float]
@@ -140,6 +139,7 @@ class PigmentFit(NamedTuple):
     steps: int
     converged: bool
     log: tuple[dict[str, float], ...] = ()
+    others: tuple[Start, ...] = ()
 
     def iris(self, base: Iris) -> Iris:
         """Return the iris of these pigments."""
@@ -171,13 +171,17 @@ class PigmentPosterior(NamedTuple):
         samples: Values of each parameter, by name.
         estimates: The same in numbers.
         z: The samples as standard normal numbers of their priors.
-        chains: The chains, in coordinates of their own.
+        effective: Number of effective draws.
+        rounds: Rounds of importance sampling, of `importance.DRAWS` draws each.
+        converged: Whether there are enough effective draws.
     """
 
     samples: dict[str, Float[np.ndarray, " samples"]]
     estimates: dict[str, Estimate]
     z: Float[np.ndarray, "samples free"]
-    chains: Chains
+    effective: float
+    rounds: int
+    converged: bool
 
 
 def parameter_values(z: Float[Array | np.ndarray, " free"]) -> dict[str, Any]:
@@ -199,27 +203,27 @@ def log_posterior(z: Float[Array, " free"], windows: Windows, base: Iris) -> Sca
 
 
 def fit_pigments(windows: Windows, base: Iris) -> PigmentFit:
-    """Fit the pigments by least squares through the differentiable renderer, from a few starts.
+    """Fit the pigments by least squares through the differentiable renderer, from several starts.
 
     Steps of Levenberg and Marquardt alternate with estimates of the covariances of the errors.
     """
     free = [i for i, n in enumerate(FREE_NAMES) if n != "room" or windows.room is not None]
-    starts = np.zeros((len(_STARTS), len(free)))
-    starts[:, : _STARTS.shape[1]] = _STARTS
-    results = jax.tree.map(np.asarray, _searches(starts, windows, base, tuple(free)))
+    starts = _starts(windows, base, free)
+    results = jax.tree.map(np.asarray, _searches(starts[:, free], windows, base, tuple(free)))
     (optima, log_density), (steps, converged), covariance = results
-    best = int(np.nanargmax(log_density[:, -1]))
     z = np.zeros((len(starts), _TURNS, len(FREE_NAMES)))
     z[..., free] = optima
-    spread = np.eye(len(FREE_NAMES))
-    spread[np.ix_(free, free)] = covariance[best]
+    spread = np.tile(np.eye(len(FREE_NAMES)), (len(starts), 1, 1))
+    spread[np.ix_(range(len(starts)), free, free)] = covariance
+    best, *others = _maxima(z[:, -1], spread, log_density[:, -1])
     log = []
     for place in np.ndindex(len(starts), _TURNS):
         row = {"start": place[0] + 1, "turn": place[1] + 1, "steps": steps[place]}
         row |= {"log_density": log_density[place]}
         log.append(_numbers(row | parameter_values(jnp.asarray(z[place]))))
     total, ended = int(np.sum(steps)), bool(converged[best, -1])
-    return _fit(z[best, -1], spread, windows, base, total, ended, log)
+    fit = _fit(z[best, -1], spread[best], windows, base, total, ended, log)
+    return fit._replace(others=tuple(Start(z[i, -1], spread[i]) for i in others))
 
 
 def exposures_for(fit: PigmentFit, windows: Windows, base: Iris) -> Float[np.ndarray, "3"]:
@@ -318,31 +322,31 @@ def simplex(
 
 
 def sample_pigments(
-    windows: Windows, base: Iris, best: PigmentFit, *, max_steps: int = 8000, key: PRNGKey
+    windows: Windows, base: Iris, best: PigmentFit, *, key: PRNGKey
 ) -> PigmentPosterior:
-    """Sample the posterior of concentrations, light and camera by `infer.sample`, from the best fit
-    on; the base fixes everything but melanins and scattering.
+    """Sample the posterior of concentrations, light and camera by `importance_sample`, from all
+    maxima on that the fit has found; the base fixes everything but melanins and scattering.
     """
-    model = windows, base
-    middle, slope = map(np.asarray, _totals_and_slope(jnp.asarray(best.z)))
-    covariance = slope @ best.covariance @ slope.T
+    approximations = []
+    for known in (Start(best.z, best.covariance), *best.others):
+        middle, slope = map(np.asarray, _totals_and_slope(jnp.asarray(known.z)))
+        approximations.append(Start(middle, slope @ known.covariance @ slope.T))
+    start, *others = approximations
+    random = np.random.RandomState(words_of(key))
     with ThreadPoolExecutor(2) as pool:  # one program is too small for two cores
-
-        def density(x: np.ndarray) -> np.ndarray:
-            return map_rows(partial(_density, model), np.asarray(x, np.float64), _ROWS, pool.map)
-
-        target: Any = SimpleNamespace(names=FREE_NAMES, log_density=density)
-        start = Start(middle, covariance)
-        chains = posterior.sample(target, start, walkers=WALKERS, max_steps=max_steps, key=key)
-    points = chains.flat
-    values = map_rows(_values_of_chain, np.asarray(points, np.float64), 4096)
+        density = partial(_densities, (windows, base), pool)
+        found = importance_sample(
+            density, start, random, others=others, rounds=_ROUNDS, effective=EFFECTIVE
+        )
+    values = map_rows(_values_of_draws, found.samples, EFFECTIVE)
     z = values.pop("z")
     estimates = {}
     for i, name in enumerate(FREE_NAMES):
         low, median, high = (float(v) for v in np.quantile(values[name], [0.025, 0.5, 0.975]))
         sd, contraction = float(values[name].std()), float(1 - z[:, i].var())
         estimates[name] = Estimate(median, sd, low, high, contraction)
-    return PigmentPosterior({name: values[name] for name in FREE_NAMES}, estimates, z, chains)
+    samples = {name: values[name] for name in FREE_NAMES}
+    return PigmentPosterior(samples, estimates, z, found.effective, found.rounds, found.enough)
 
 
 def iris_of_concentrations(values: dict[str, Any], base: Iris) -> Iris:
@@ -449,6 +453,35 @@ def _log_ratios(values, windows: Windows, base: Iris):
     radiance, slope = windows.radiance_and_slope(iris, values["room"])
     log_ratios, slope_of_ratios = jax.jvp(log_ratios_of, (radiance,), (slope,))
     return log_ratios, -slope_of_ratios
+
+
+def _starts(windows: Windows, base: Iris, free: list[int]) -> Float[np.ndarray, "starts all"]:
+    """Return the most probable of draws of the priors that are apart from each other."""
+    draws = stats.norm.ppf(qmc.Sobol(len(free), rng=0).random(_DRAWN))
+    x = np.zeros((_DRAWN, len(FREE_NAMES)))
+    x[:, free] = draws
+    with ThreadPoolExecutor(2) as pool:
+        densities = _densities((windows, base), pool, x)
+    chosen = np.zeros((0, len(FREE_NAMES)))
+    for row in x[np.argsort(-densities, kind="stable")]:
+        if (np.abs(row - chosen).max(-1) > _APART).all():
+            chosen = np.append(chosen, row[None], axis=0)
+        if len(chosen) == _SEARCHES:
+            break
+    return np.asarray(map_rows(_values_of_draws, chosen, EFFECTIVE)["z"])
+
+
+def _maxima(z, covariances, log_density) -> list[int]:
+    """Return which searches found maxima of their own, the highest first."""
+    found: list[int] = []
+    for i in np.argsort(-np.nan_to_num(log_density, nan=-np.inf), kind="stable"):
+        if found and not log_density[i] > log_density[found[0]] - _LOWER:
+            break
+        away = [z[i] - z[k] for k in found]
+        squares = (d @ np.linalg.solve(covariances[k], d) for k, d in zip(found, away, strict=True))
+        if all(square > _NEAR**2 for square in squares):
+            found.append(int(i))
+    return found
 
 
 @eqx.filter_jit
@@ -583,9 +616,13 @@ def _totals_and_slope(z):
 
 
 @eqx.filter_jit
-def _values_of_chain(x):
+def _values_of_draws(x):
     z = jax.vmap(_parts)(x)
     return {"z": z, **jax.vmap(parameter_values)(z)}
+
+
+def _densities(model: tuple[Windows, Iris], pool: ThreadPoolExecutor, x) -> np.ndarray:
+    return map_rows(partial(_density, model), np.asarray(x, np.float64), _ROWS, pool.map)
 
 
 @eqx.filter_jit
@@ -595,11 +632,11 @@ def _density(model, x):
 
 
 def _totals(z):
-    """Coordinates (free,) of the chain: for each layer the logarithms of its melanin and of
+    """Coordinates (free,) of the draws: for each layer the logarithms of its melanin and of
     eumelanin over pheomelanin, scaled about the priors' medians, in place of the two.
 
-    Colours constrain the total, which bends the posterior of either alone: chains of these have 10
-    to 30 times the autocorrelation time. The Jacobian's determinant is constant.
+    Colours constrain the total, which bends the posterior of either alone. The Jacobian's
+    determinant is constant.
     """
     eumelanin = _CENTRES[0] + _SCALES[0] * z[_EUMELANIN]
     pheomelanin = _CENTRES[1] + _SCALES[1] * z[_PHEOMELANIN]

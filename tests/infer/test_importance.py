@@ -84,3 +84,21 @@ def test_places_without_probability_are_left_out():
     assert z[:, 0].mean() == pytest.approx(np.sqrt(2 / np.pi), abs=0.1)
     with pytest.raises(ValueError, match="no draw"):
         sampled(lambda z: np.full(len(z), -np.inf), [1.0, 1.0], 0.0)
+
+
+def test_two_maxima_get_the_mass_that_they_have():
+    """The start is at the smaller one: alone it would be taken for all."""
+    far, sd = 12.0, 0.3
+
+    def both(z):
+        first = stats.norm.logpdf(z, 0, sd).sum(axis=1) + np.log(0.2)
+        return np.logaddexp(first, stats.norm.logpdf(z, far, sd).sum(axis=1) + np.log(0.8))
+
+    start, other = (Start(np.full(2, place), 0.05 * np.eye(2)) for place in (0.1, far - 0.1))
+    found = importance_sample(
+        both, start, np.random.RandomState(0), others=(other,), effective=3000, rounds=20
+    )
+    assert found.enough and len(found.samples) == 3000
+    assert abs(found.log_integral) < 4 * found.error
+    share = (found.samples[:, 0] > far / 2).mean()
+    assert share == pytest.approx(0.8, abs=4 * np.sqrt(0.16 / found.effective))

@@ -2,6 +2,7 @@
 chains that are too short are called so.
 """
 
+import functools
 import subprocess
 import sys
 from typing import NamedTuple
@@ -13,8 +14,8 @@ import pytest
 
 import irisjax as ij
 from experiments.closed_formulas import BeerLambert
-from irisjax.infer import importance, posterior
-from irisjax.infer.importance import Start
+from irisjax.infer import posterior
+from irisjax.infer.importance import Start, importance_sample
 from irisjax.infer.posterior import check_run, diagnose, mixing, sample
 from irisjax.infer.store import ChainStart, Store
 
@@ -86,7 +87,8 @@ def test_the_chain_in_memory_is_that_in_a_file(whole):
 
 def test_burn_in_interrupted_and_resumed(whole, tmp_path, monkeypatch):
     """Where importance weights stay uneven walkers burn in; that too can be interrupted."""
-    monkeypatch.setattr(importance, "EFFECTIVE", 1e9)
+    uneven = functools.partial(importance_sample, effective=10**9)
+    monkeypatch.setattr(posterior, "importance_sample", uneven)
     words = []
     chains = sample(
         RIDGE, START, store=tmp_path / "a.h5", progress=lambda *told: words.append(told), **SETTINGS

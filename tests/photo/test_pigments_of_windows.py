@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from formula import BASE, formula_windows
+from scipy import optimize
 
-from irisjax.photo import pigments
 from irisjax.photo.pigments import (
     CONCENTRATIONS,
     FREE_NAMES,
     RING,
     _totals_and_slope,
-    _values_of_chain,
+    _values_of_draws,
     exposures_for,
     fit_pigments,
     iris_of_concentrations,
@@ -79,6 +79,18 @@ def test_least_squares_fits_what_the_model_made(windows, fit):
     assert cost <= _cost(TRUE, windows) + 1e-6
     # The prior pulls by less than what is not known.
     assert abs((fit.z - TRUE) / np.sqrt(np.diag(fit.covariance))).max() < 3
+
+
+def test_of_several_maxima_the_highest_is_found():
+    """Of windows that scatter strongly in little light: from fixed starts that scatter little the
+    search ended 1.4 below the highest log density. The reference is Powell's method from the truth.
+    """
+    true = {"scattering_scale": 2.8, "exposure": -2.3, "red_gain": 1.5, "blue_gain": 1.3}
+    true |= {"stroma_eumelanin": 0.4, "stroma_pheomelanin": -0.7, "contrast": 0.8}
+    truth = np.array([true.get(name, 0.0) for name in FREE_NAMES])
+    windows = formula_windows(truth)
+    reference = optimize.minimize(_cost, truth, args=(windows,), method="Powell")
+    assert _cost(fit_pigments(windows, BASE).z, windows) < reference.fun + 0.5
 
 
 def test_the_simplex_goes_down_stage_by_stage(windows):
@@ -208,13 +220,11 @@ def test_exposures_take_up_brightness_that_other_maps_change_and_no_tint(windows
 
 @pytest.fixture(scope="module")
 def drawn(windows, fit):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pigments, "WALKERS", 24)  # half as many as a clone has
-        return sample_pigments(windows, BASE, fit, key=jax.random.key(1))
+    return sample_pigments(windows, BASE, fit, key=jax.random.key(1))
 
 
 def test_estimates_are_those_of_the_samples_and_hold_the_truth(drawn):
-    assert drawn.chains.converged
+    assert drawn.converged
     true = parameter_values(jnp.asarray(TRUE))
     assert tuple(drawn.estimates) == tuple(drawn.samples) == FREE_NAMES
     for i, (name, estimate) in enumerate(drawn.estimates.items()):
@@ -225,11 +235,11 @@ def test_estimates_are_those_of_the_samples_and_hold_the_truth(drawn):
         assert estimate.contraction == pytest.approx(1 - drawn.z[:, i].var())
 
 
-def test_the_chains_own_coordinates_leave_the_prior_as_it_is():
+def test_the_draws_own_coordinates_leave_the_prior_as_it_is():
     """They lead back, and their volume is the same everywhere: no Jacobian is left out."""
     z = jnp.asarray(np.random.default_rng(6).normal(size=(20, len(FREE_NAMES))))
     x, slope = jax.jit(jax.vmap(_totals_and_slope))(z)
     assert np.abs(x - z).max() > 0.5
-    np.testing.assert_allclose(_values_of_chain(x)["z"], z, atol=1e-10)
+    np.testing.assert_allclose(_values_of_draws(x)["z"], z, atol=1e-10)
     volumes = np.linalg.det(slope)
     np.testing.assert_allclose(volumes, volumes[0], rtol=1e-10)
