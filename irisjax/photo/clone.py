@@ -262,6 +262,7 @@ class Fitted(Lit):
         base: Iris that fixes everything but melanins and scattering.
         fit: The best pigments and camera.
         integrator: Model of light in the iris.
+        shown: The same windows of the maps with which pictures of the clone are drawn.
         exposure: Exposures of the three channels with which a picture of the clone is as bright as
             the photograph. The posterior's exposure is that of an iris with an average relief.
     """
@@ -270,7 +271,13 @@ class Fitted(Lit):
     base: Iris
     fit: pigments.PigmentFit
     integrator: Separable | RadiativeIntegrator
+    shown: Windows
     exposure: Float[np.ndarray, "3"]
+
+    def with_fit(self, fit: pigments.PigmentFit) -> "Fitted":
+        """Return the stage with another maximum of the posterior."""
+        exposure = pigments.exposures_for(fit, self.shown, self.base)
+        return dataclasses.replace(self, fit=fit, exposure=exposure)
 
     def iris(self) -> Iris:
         """Return the iris of the fitted pigments."""
@@ -581,9 +588,9 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
         if given.maps is None:
             own = has_texels(settings, given)
             shown = windows_with(smooth_maps(eye) if own else estimate().maps)
-        exposure = pigments.exposures_for(fit, shown, base)
         kept = dataclasses.replace(lit, estimate=estimate)
-        return Fitted(**vars(kept), **known, exposure=exposure)
+        exposure = pigments.exposures_for(fit, shown, base)
+        return Fitted(**vars(kept), **known, shown=shown, exposure=exposure)
 
     if given.maps is not None or (settings.beta is not None and settings.sigma is not None):
         return fitted(lit.estimate)
@@ -619,7 +626,6 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
         return Coloured(**vars(_with_white_as_seen(fitted)), texels=None)
     finest: Any = refine_table(fitted.integrator)
     fitted = dataclasses.replace(fitted, integrator=finest)
-    scene = fitted.scene_with(None).replace(integrator=finest)
     shape, eye = fitted.clear.shape, fitted.pose.eye
     seen = fitted.view.iris
     assert seen is not None
@@ -628,19 +634,34 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
     shown = fitted.clear & iris_alone(fitted.pose)
     ring = scatter_to_picture(seen, ring_radius(eye, x, y), shape)
     clear = shown & (ring > float(eye.pupil_radius + eye.pupil_margin))
-    target = fitted.unveiled() / fitted.exposure
-    if fitted.veil is None:
-        dark = scene.replace(iris=fitted.base)
-        around = np.asarray(surroundings(fitted.view, texture(fitted.view, dark), dark))
-        target = target - around.T.reshape(*shape, 3)
-    target = np.maximum(target, 0) ** (1 / fitted.fit.values["contrast"])
     usual = np.log(generic_thickness(radius) / float(fitted.base.stroma_thickness))
+    # Windows tell the colours of rings. Of the maxima that explain these, the highest is taken whose
+    # iris can make the colours of pixels too, or else the one that is nearest to them.
+    trials = []
+    for fit in fitted.fit.maxima():
+        trial = fitted.with_fit(fit)
+        known = trial.scene_with(None), trial.view, trial.tables, trial.exposure
+        coarse = texels.solve_coarse(_iris_light(trial), clear, usual, *known)
+        trials.append((trial, coarse))
+        if coarse.is_within:
+            break
+    fitted, coarse = min(trials, key=lambda trial: (not trial[1].is_within, trial[1].error))
     cells_of = partial(follow_cells, fitted.pose, fitted.refraction)
-    known = fitted.view, fitted.tables, fitted.exposure, pigments.doubt_of_exposures(fitted.fit)
-    found = texels.colour_iris(target, clear, shown, usual, scene, *known, cells_of)
+    doubt = pigments.doubt_of_exposures(fitted.fit)
+    found = texels.colour_iris(coarse, shown, doubt, cells_of)
     exposure = fitted.exposure * found.gain ** fitted.fit.values["contrast"]
     exposed = dataclasses.replace(fitted, exposure=exposure)
     return Coloured(**vars(_with_white_as_seen(exposed)), texels=found)
+
+
+def _iris_light(fitted: Fitted) -> Colours:
+    """Return the radiance of the iris in the photograph, without what the tear film mirrors."""
+    target, shape = fitted.unveiled() / fitted.exposure, fitted.clear.shape
+    if fitted.veil is None:
+        dark = fitted.scene_with(None).replace(iris=fitted.base)
+        around = np.asarray(surroundings(fitted.view, texture(fitted.view, dark), dark))
+        target = target - around.T.reshape(*shape, 3)
+    return np.maximum(target, 0) ** (1 / fitted.fit.values["contrast"])
 
 
 def tint_of_white(

@@ -14,7 +14,7 @@ around the pupil, and light may fall off as that of no lamp of the model does.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, NamedTuple
@@ -129,7 +129,7 @@ class PigmentFit(NamedTuple):
         steps: Number of steps.
         converged: Whether the search ended by itself.
         log: Course of the search, a row of numbers by name for each turn.
-        others: Other maxima of the posterior, in normal approximation of `z`.
+        others: Other maxima of the posterior, the highest first.
     """
 
     values: dict[str, float]
@@ -139,7 +139,13 @@ class PigmentFit(NamedTuple):
     steps: int
     converged: bool
     log: tuple[dict[str, float], ...] = ()
-    others: tuple[Start, ...] = ()
+    others: tuple["PigmentFit", ...] = ()
+
+    def maxima(self) -> Iterator["PigmentFit"]:
+        """Yield all maxima, each with the rest as its others."""
+        every = self._replace(others=()), *self.others
+        for i, one in enumerate(every):
+            yield one._replace(others=every[:i] + every[i + 1 :])
 
     def iris(self, base: Iris) -> Iris:
         """Return the iris of these pigments."""
@@ -221,9 +227,12 @@ def fit_pigments(windows: Windows, base: Iris) -> PigmentFit:
         row = {"start": place[0] + 1, "turn": place[1] + 1, "steps": steps[place]}
         row |= {"log_density": log_density[place]}
         log.append(_numbers(row | parameter_values(jnp.asarray(z[place]))))
-    total, ended = int(np.sum(steps)), bool(converged[best, -1])
-    fit = _fit(z[best, -1], spread[best], windows, base, total, ended, log)
-    return fit._replace(others=tuple(Start(z[i, -1], spread[i]) for i in others))
+
+    def fit(i: int) -> PigmentFit:
+        ended = bool(converged[i, -1])
+        return _fit(z[i, -1], spread[i], windows, base, int(np.sum(steps)), ended, log)
+
+    return fit(best)._replace(others=tuple(map(fit, others)))
 
 
 def exposures_for(fit: PigmentFit, windows: Windows, base: Iris) -> Float[np.ndarray, "3"]:
@@ -328,7 +337,7 @@ def sample_pigments(
     maxima on that the fit has found; the base fixes everything but melanins and scattering.
     """
     approximations = []
-    for known in (Start(best.z, best.covariance), *best.others):
+    for known in (best, *best.others):
         middle, slope = map(np.asarray, _totals_and_slope(jnp.asarray(known.z)))
         approximations.append(Start(middle, slope @ known.covariance @ slope.T))
     start, *others = approximations

@@ -33,7 +33,7 @@ from irisjax.photo.texture import MAP_SHAPE, Refraction, fill_holes, half_size, 
 from irisjax.render import picture
 from irisjax.render import polynomials as products
 from irisjax.render.illumination import Illumination
-from irisjax.render.project import View, scatter_to_picture
+from irisjax.render.project import IrisPixels, View, scatter_to_picture
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.shading import IrisModel, scale_ranges
@@ -164,31 +164,61 @@ class Local(NamedTuple):
     off: Float[np.ndarray, "rows columns 3"]
 
 
-def colour_iris(
+class Coarse(NamedTuple):
+    """An iris whose coarse pixels are solved.
+
+    Attributes:
+        scene: The scene of the global fit, without maps.
+        seen: The pixels that see the iris.
+        exposure: Exposures of the channels.
+        illumination: Light on the pixels of the iris, see `AbstractIntegrator.illuminate`.
+        levels: What its pixels show, the finest first.
+        respond: Returns the response over ranges, of the scene or of another.
+        factors: Ranges that may be asked for.
+        gain: Factor on the exposures.
+        local: The numbers of the coarsest pixels.
+    """
+
+    scene: Scene
+    seen: IrisPixels
+    exposure: Float[np.ndarray, "3"]
+    illumination: Any
+    levels: list[Seen]
+    respond: Callable[..., TexelResponse]
+    factors: Scales
+    gain: float
+    local: Local
+
+    @property
+    def error(self) -> float:
+        """Root mean square of model less photograph, encoded."""
+        return _rms(self.local.off[self.levels[-1].known])
+
+    @property
+    def is_within(self) -> bool:
+        """Whether the model can make the colours, under the exposures that were given."""
+        return self.gain == 1 and _are_within(self.local.off[self.levels[-1].known])
+
+
+def solve_coarse(
     target: Colours,
     known: Mask,
-    shown: Mask,
     usual: Brightness,
     scene: Scene,
     view: View,
     tables: Illumination | None,
     exposure: Float[np.ndarray, "3"],
-    doubt: Float[np.ndarray, "3 3"],
-    cells_of: Callable[[tuple[int, int]], Refraction],
-) -> OwnPigments:
-    """Solve the texels of an iris.
+) -> Coarse:
+    """Solve the coarsest pixels of an iris.
 
     Args:
         target: Radiance of the iris in the photograph, under the fitted exposure.
         known: Pixels that show the iris and nothing else, whose numbers are sought.
-        shown: Pixels whose residual is kept: these, and the rim that fades into the pupil.
         usual: Logarithm of the stroma's usual thickness there over that of the scene's iris.
         scene: The scene of the global fit, without maps.
         view: What its camera sees.
         tables: Its tables of light.
         exposure: Exposures of the channels.
-        doubt: Covariance of their logarithms.
-        cells_of: Returns where the middles of so many angles and radii of cells appear.
     """
     shape, iris, seen = known.shape, scene.tissue, view.iris
     integrator: Any = scene.integrator
@@ -218,7 +248,29 @@ def colour_iris(
     for _ in _STEPS[1:]:
         levels.append(_halved(levels[-1]))
     factors = factors_within_table(scene)
-    gain, coarsest = find_gain(levels[-1], respond(factors), exposure)
+    gain, local = find_gain(levels[-1], respond(factors), exposure)
+    return Coarse(scene, seen, exposure, illumination, levels, respond, factors, gain, local)
+
+
+def colour_iris(
+    coarse: Coarse,
+    shown: Mask,
+    doubt: Float[np.ndarray, "3 3"],
+    cells_of: Callable[[tuple[int, int]], Refraction],
+) -> OwnPigments:
+    """Solve the texels of an iris.
+
+    Args:
+        coarse: Its coarse pixels.
+        shown: Pixels whose residual is kept: those that are known, and the rim that fades into the
+            pupil.
+        doubt: Covariance of the logarithms of the exposures.
+        cells_of: Returns where the middles of so many angles and radii of cells appear.
+    """
+    scene, seen, exposure, illumination, levels, respond, factors, gain, coarsest = coarse
+    target, _, _, known = levels[0]
+    shape, iris = known.shape, scene.tissue
+    integrator: Any = scene.integrator
     response = respond(ranges_about(coarsest, levels[-1].known, factors))
     local = solve_levels(levels, response, exposure, gain)
     middle = np.median(local.logs[known], axis=0)
@@ -258,7 +310,7 @@ def colour_iris(
     explained = 1 - (off**2).sum() / ((encoded - encoded.mean(0)) ** 2).sum()
 
     # What the maps themselves leave, after all interpolation.
-    parts = integrator.texels(seen, front._replace(iris=iris, maps=maps_of(logs)), ranges)
+    parts = integrator.texels(seen, IrisModel(scene.eye, iris, maps_of(logs)), ranges)
     drawn = picture.within_gamut(response.made.shade(seen, parts, illumination))
     drawn = np.maximum(scatter_to_picture(seen, np.asarray(drawn).T, shape), 1e-9)
     ratio = np.where(shown[..., None], target / gain / drawn, 1.0).astype(np.float32)
@@ -319,11 +371,20 @@ def find_gain(
     for gain in GAINS:
         solutions[gain] = _coarsest(coarsest, response, exposure, gain)
         differences = solutions[gain].off[coarsest.known]
-        errors[gain] = np.sqrt((differences**2).mean())
-        if (np.abs(differences).max(-1) > OUTSIDE).mean() <= _ENOUGH:
+        errors[gain] = _rms(differences)
+        if _are_within(differences):
             return gain, solutions[gain]
     gain = next(g for g in GAINS if errors[g] <= 1.1 * min(errors.values()))
     return gain, solutions[gain]
+
+
+def _rms(differences: Float[np.ndarray, "pixels 3"]) -> float:
+    return float(np.sqrt((differences**2).mean()))
+
+
+def _are_within(differences: Float[np.ndarray, "pixels 3"]) -> bool:
+    """Whether so few colours are none that the model can make that no other exposure is wanted."""
+    return bool((np.abs(differences).max(-1) > OUTSIDE).mean() <= _ENOUGH)
 
 
 def solve_levels(

@@ -16,7 +16,13 @@ from window_scenes import EYE, LIGHTS, SHAPE, picture_of
 from irisjax.photo.clone import usual_iris
 from irisjax.photo.light import find_veil
 from irisjax.photo.photograph import Ellipse
-from irisjax.photo.texels import FACTORS, colour_iris, factors_within_table, moved_iris
+from irisjax.photo.texels import (
+    FACTORS,
+    colour_iris,
+    factors_within_table,
+    moved_iris,
+    solve_coarse,
+)
 from irisjax.photo.texture import Refraction
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
@@ -96,8 +102,9 @@ def solved(reflection: bool, wrong: float = 0.0):
     target[window] += np.array([0.02, 0.05, 0.4])
     scene, doubt, usual = scene_with(None), np.full((3, 3), wrong**2), np.zeros(SHAPE)
     lit = target * np.exp(wrong), EXPOSURE * np.exp(-wrong)
-    masks = known, known | ((radius > inner - 0.15) & (radius < outer))
-    found = colour_iris(lit[0], *masks, usual, scene, view(), None, lit[1], doubt, cells_of)
+    shown = known | ((radius > inner - 0.15) & (radius < outer))
+    coarse = solve_coarse(lit[0], known, usual, scene, view(), None, lit[1])
+    found = colour_iris(coarse, shown, doubt, cells_of)
     return target, known, window, found
 
 
