@@ -635,8 +635,8 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
     ring = scatter_to_picture(seen, ring_radius(eye, x, y), shape)
     clear = shown & (ring > float(eye.pupil_radius + eye.pupil_margin))
     usual = np.log(generic_thickness(radius) / float(fitted.base.stroma_thickness))
-    # Windows tell the colours of rings. Of the maxima that explain these, the highest whose iris can
-    # make the colours of pixels too is taken, or else the one that is nearest to them.
+    # Windows tell the colours of rings. Of the maxima that explain these, the highest is taken
+    # whose iris can make the colours of pixels too, or else the one that is nearest to them.
     trials = []
     for fit in fitted.fit.maxima():
         trial = fitted.with_fit(fit)
