@@ -344,7 +344,7 @@ def sample_pigments(
     random = np.random.RandomState(words_of(key))
     with ThreadPoolExecutor(2) as pool:  # one program is too small for two cores
         density = partial(_densities, (windows, base), pool)
-        counts = {"rounds": _ROUNDS, "effective": EFFECTIVE}
+        counts: dict[str, Any] = {"rounds": _ROUNDS, "effective": EFFECTIVE}
         found = importance_sample(density, start, random, others=others, **counts)
     values = map_rows(_values_of_draws, found.samples, EFFECTIVE)
     z = values.pop("z")

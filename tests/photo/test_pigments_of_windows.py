@@ -1,6 +1,7 @@
 """Pigments and their posterior from windows whose colours a known iris made."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -10,6 +11,8 @@ import pytest
 from formula import BASE, formula_windows
 from scipy import optimize
 
+from irisjax.infer.importance import Start
+from irisjax.infer.posterior import sample
 from irisjax.photo.pigments import (
     CONCENTRATIONS,
     FREE_NAMES,
@@ -233,6 +236,21 @@ def test_estimates_are_those_of_the_samples_and_hold_the_truth(drawn):
         # Windows without noise: what the camera has free still hides the pigments.
         assert low < float(true[name]) < high, name
         assert estimate.contraction == pytest.approx(1 - drawn.z[:, i].var())
+
+
+@pytest.mark.peer
+def test_emcee_samples_the_same_posterior(windows, fit, drawn):
+    """Its quantiles have the same probabilities, to four standard errors of either sample."""
+    density = eqx.filter_jit(lambda z: jax.vmap(lambda row: log_posterior(row, windows, BASE))(z))
+    target = SimpleNamespace(names=FREE_NAMES, log_density=lambda z: np.asarray(density(z)))
+    chains = sample(
+        target, Start(fit.z, fit.covariance), walkers=24, max_steps=8000, key=jax.random.key(5)
+    )
+    shares = np.array([0.025, 0.5, 0.975])[:, None]
+    below = (drawn.z[:, None] < np.quantile(chains.flat, shares[:, 0], axis=0)).mean(0)
+    effective = 1 / (1 / drawn.effective + 1 / np.minimum(chains.ess_bulk, chains.ess_tail))
+    assert (np.abs(below - shares) < 4 * np.sqrt(shares * (1 - shares) / effective)).all()
+    assert chains.converged
 
 
 def test_the_draws_own_coordinates_leave_the_prior_as_it_is():
