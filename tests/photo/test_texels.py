@@ -108,6 +108,20 @@ def solved(reflection: bool, wrong: float = 0.0):
     return target, known, window, found
 
 
+def test_an_iris_whose_epithelium_is_black_cannot_have_these_colours():
+    """Of the maxima of a posterior texels take one that can."""
+    radius = radii()
+    known = (radius > float(BARE.pupil_radius) + 0.2) & (radius < 5.2)
+
+    def coarse(iris):
+        scene = scene_with(None).replace(iris=iris)
+        return solve_coarse(drawn(), known, np.zeros(SHAPE), scene, view(), None, EXPOSURE)
+
+    right, black = coarse(BASE), coarse(BASE.replace(eumelanin=100.0, scattering_scale=1e-3))
+    assert right.is_within and not black.is_within
+    assert black.error > 5 * right.error
+
+
 def _encoded(picture):
     return np.clip(picture * EXPOSURE, 0, None) ** (1 / 2.4)
 
