@@ -160,7 +160,7 @@ class Windows(eqx.Module):
         """Return the luminance of an iris with shares of a freckle (as in `IrisMaps.freckles`) over
         its own, seen and lit from the front.
         """
-        spots = IrisMaps(freckles=jnp.asarray([shares, shares], float))
+        spots = IrisMaps(freckles=jnp.asarray([shares, 0 * shares], float))
         ranges = self.ranges._replace(abl=scale_ranges(iris, spots).abl)
         abl_scale = spots.abl_scale(iris)
         assert abl_scale is not None

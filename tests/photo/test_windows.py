@@ -102,6 +102,9 @@ def test_thickness_brightens_and_freckles_darken(lit):
     # Two at a time, as for the thickness, so that the same programs serve.
     darkness = [lit.freckle_response(BASE, np.array([0.0, s]))[1] for s in (0.0, 0.1, 0.5, 1.0)]
     assert darkness[0] == 1 and (np.diff(darkness) < 0).all()
+    # It is that of a bare iris whether or not one of the shares is none.
+    dark = lit.freckle_response(BASE, np.array([0.5, 1.0]))
+    assert dark[1] == pytest.approx(darkness[3], rel=1e-6)
 
 
 @pytest.mark.slow
