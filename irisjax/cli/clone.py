@@ -317,7 +317,7 @@ def _run_stages(
         for stage_result in () if doubtful_outlines(found) else stages:
             found = stage_result
             last = results.stop_after == "pigments" or isinstance(stage_result, cloning.Coloured)
-            # Figures are drawn while the posterior, which takes longest, is sampled.
+            # Figures are drawn while the posterior is sampled.
             if comparison is None and isinstance(stage_result, cloning.Fitted) and last:
                 comparison = cloning.compare_with_photograph(stage_result)
                 eye = stage_result.scene().eye
