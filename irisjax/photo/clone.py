@@ -89,6 +89,9 @@ _BLUR_WIDTHS = Range(0.05, 2.0, "mm")  # widths of the deconvolution that are co
 _BLUR_STEPS, _BLUR_TOLERANCE = 7, 0.1  # number of first trials; tolerance of the logarithm
 
 _LEAST_DRAWN = 1e-9  # radiance of a white
+LEAST_RESPONSE = 0.1
+"""d ln luminance / d ln thickness below which a photograph says little about the thickness."""
+_TIED = 2.0  # difference of log densities of maxima that are about as high
 _BLUR_OF_PIXELS = 3.0  # width of a smoothstep that is as wide as a Gaussian of 0.67 pixels
 _Arc = Float[np.ndarray, " count"]
 
@@ -578,7 +581,7 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
 
     windows = windows_with(maps, turned=given.maps is None)
     search = pigments.simplex if settings.method == "simplex" else pigments.fit_pigments
-    fit = search(windows, base)
+    fit = with_visible_thickness(search(windows, base), windows.thickness_response, base)
 
     known: dict[str, Any] = {"windows": windows, "base": base, "fit": fit}
     known["integrator"] = settings.integrator
@@ -793,6 +796,21 @@ def _with_white_as_seen(fitted: Fitted) -> Fitted:
     tint = tint_of_white(white.pixels, radiance, fitted.view, fitted.scene_with(None))
     eye = pose.eye.replace(sclera=dataclasses.replace(pose.eye.sclera, tint=tint))
     return dataclasses.replace(fitted, pose=pose._replace(eye=eye))
+
+
+def with_visible_thickness(
+    fit: pigments.PigmentFit, response: Callable[[Iris], float], base: Iris
+) -> pigments.PigmentFit:
+    """Return the fit, or another maximum that is about as high if thickness hardly shows in the
+    fitted iris, by its response to it, and shows in that one: windows tell the colours of rings,
+    but not that there are fibres.
+    """
+    for one in fit.maxima():
+        if one.log_density < fit.log_density - _TIED:
+            break
+        if response(one.iris(base)) >= LEAST_RESPONSE:
+            return one
+    return fit
 
 
 def _thickness_by_model(

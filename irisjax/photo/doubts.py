@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from irisjax.numerics.checks import Range
 from irisjax.photo import pigments
-from irisjax.photo.clone import Coloured, Fitted, Outlined, Posed, Sampled
+from irisjax.photo.clone import LEAST_RESPONSE, Coloured, Fitted, Outlined, Posed, Sampled
 from irisjax.photo.outlines import MIN_CONFIDENCE
 
 DOUBTS = ("outlines", "light", "model")
@@ -16,7 +16,6 @@ _OUTSIDE_SHARE = 0.05  # of an iris with colours that the model cannot make, abo
 _DISTANCES = Range(80, 2000, "mm")  # of cameras that photograph an iris, macro to long lenses
 _PICTURES_OFF = 0.05  # RMS difference of the encoded pictures above which a clone is doubtful [F09]
 _STRETCHED = 0.3  # probability that a file is, above which that is said
-_LEAST_RESPONSE = 0.1  # below it a photograph says little about the thickness
 
 
 class Doubt(NamedTuple):
@@ -76,7 +75,7 @@ def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tup
         response = found.morphology.response if own is None else None
         if odd and response is not None:
             model.append(f"the thickness is that of a usual iris, whose response is {response:.2f}")
-        elif response is not None and response < _LEAST_RESPONSE:
+        elif response is not None and response < LEAST_RESPONSE:
             model.append(
                 f"thickness hardly shows in this iris (1 % of it changes the light by "
                 f"{max(response, 0):.2f} %): the map is little more than an average iris's"

@@ -132,6 +132,7 @@ class PigmentFit(NamedTuple):
         converged: Whether the search ended by itself.
         log: Course of the search, a row of numbers by name for each turn.
         others: Other maxima of the posterior, the highest first.
+        log_density: Logarithm of the posterior density, without constants.
     """
 
     values: dict[str, float]
@@ -142,6 +143,7 @@ class PigmentFit(NamedTuple):
     converged: bool
     log: tuple[dict[str, float], ...] = ()
     others: tuple["PigmentFit", ...] = ()
+    log_density: float = math.nan
 
     def maxima(self) -> Iterator["PigmentFit"]:
         """Yield all maxima, each with the rest as its others."""
@@ -231,8 +233,9 @@ def fit_pigments(windows: Windows, base: Iris) -> PigmentFit:
         log.append(_numbers(row | parameter_values(jnp.asarray(z[place]))))
 
     def fit(i: int) -> PigmentFit:
-        ended = bool(converged[i, -1])
-        return _fit(z[i, -1], spread[i], windows, base, int(np.sum(steps)), ended, log)
+        ended, density = bool(converged[i, -1]), float(log_density[i, -1])
+        found = _fit(z[i, -1], spread[i], windows, base, int(np.sum(steps)), ended, log)
+        return found._replace(log_density=density)
 
     return fit(best)._replace(others=tuple(map(fit, others)))
 

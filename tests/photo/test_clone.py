@@ -18,9 +18,11 @@ from irisjax.photo.clone import (
     outline_eye,
     pose_eye,
     tint_of_white,
+    with_visible_thickness,
 )
 from irisjax.photo.masks import cut_part, find_mirrored_face
 from irisjax.photo.photograph import Photograph
+from irisjax.photo.pigments import FREE_NAMES, PigmentFit
 from irisjax.photo.texture import follow_refraction, unrefract
 from irisjax.photo.thickness import shape_maps
 from irisjax.render.lights import Lights
@@ -96,6 +98,25 @@ def test_a_pupil_fades_about_its_outline_as_wide_as_the_photograph_is_blurred(po
         wide, middle = float(eye.pupil_margin), float(eye.pupil_radius + eye.pupil_margin / 2)
         assert wide == pytest.approx(np.hypot(margin * outline, 3 * pixel), rel=1e-5)
         assert middle == pytest.approx(outline * (1 + margin / 2), rel=1e-5)
+
+
+def test_of_two_irides_the_one_with_visible_fibres_is_taken():
+    """If it is about as probable; where thickness shows in none, the more probable one."""
+    low = {name: 1.0 for name in FREE_NAMES}
+    known = np.zeros(len(FREE_NAMES)), np.eye(len(FREE_NAMES)), np.zeros(3), 1, True
+    opaque, clear = (
+        PigmentFit(low | {"scattering_scale": scale}, *known, log_density=density)
+        for scale, density in ((50.0, 10.0), (0.2, 9.0))
+    )
+
+    def taken(density):
+        fit = opaque._replace(others=(clear._replace(log_density=density),))
+        return with_visible_thickness(fit, lambda iris: 3 / float(iris.scattering_scale), Iris())
+
+    assert taken(9.0).values == clear.values and taken(9.0).others[0].values == opaque.values
+    assert taken(7.0).values == opaque.values
+    both = opaque._replace(others=(clear,))
+    assert with_visible_thickness(both, lambda iris: 0.0, Iris()).values == opaque.values
 
 
 def test_the_tint_of_a_white_comes_back(posed):
