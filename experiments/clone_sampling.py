@@ -8,6 +8,7 @@ import json
 import time
 from functools import partial
 from types import SimpleNamespace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -16,7 +17,7 @@ from tqdm import tqdm
 
 from experiments.common import RESULTS, start, write
 from experiments.simulated_photographs import FOLDER
-from irisjax.infer.importance import Start
+from irisjax.infer.importance import DRAWS, Start
 from irisjax.infer.posterior import sample
 from irisjax.io.photographs import read_photograph
 from irisjax.numerics.chunks import map_rows
@@ -52,7 +53,7 @@ def _rows(file: str, found: Fitted, steps: int, key):
     maxima = 1 + len(found.fit.others)
     numbers = drawn.effective, drawn.converged
     yield (
-        *(file, maxima, "importance", seconds, 2048 * drawn.rounds, *numbers),
+        *(file, maxima, "importance", seconds, DRAWS * drawn.rounds, *numbers),
         *_off(drawn.z, more),
     )
     effective = float(np.minimum(chains.ess_bulk, chains.ess_tail).min())
@@ -69,7 +70,7 @@ def _chains(found: Fitted, steps: int, key):
     def log_density(z):
         return map_rows(partial(_densities, model), np.asarray(z, np.float64), ROWS)
 
-    target = SimpleNamespace(names=FREE_NAMES, log_density=log_density)
+    target: Any = SimpleNamespace(names=FREE_NAMES, log_density=log_density)
     approximation = Start(fit.z, fit.covariance)
     return sample(target, approximation, walkers=WALKERS, max_steps=steps, key=key)
 
@@ -85,7 +86,9 @@ def _timed(f):
 
 
 def _off(z, reference) -> list[float]:
-    """By how much the probabilities below quantiles differ from theirs, %."""
+    """Return by how many per cent the probabilities below the quantiles of `z`, in the reference,
+    differ from those of the quantiles.
+    """
     at = np.quantile(z, QUANTILES, axis=0)
     below = (reference[:, None] < at).mean(0)
     off = 100 * np.abs(below - np.array(QUANTILES)[:, None])

@@ -439,7 +439,7 @@ def clone_eye(
         "thickness": lambda found: shape_iris(found, settings, given),
         "pigments": lambda found: fit_clone(light_eye(found, given, tables), settings, given),
         "texels": lambda found: colour_texels(found, settings, given),
-        "posterior": lambda found: sample_clone(found, settings, key=cast(PRNGKey, key)),
+        "posterior": lambda found: sample_clone(found, key=cast(PRNGKey, key)),
     }
     found = photograph
     for name in STAGES[: STAGES.index(last) + 1]:
@@ -690,7 +690,7 @@ def tint_of_white(
     return np.clip(np.linalg.solve(of_tint, wanted), limits.low, limits.high)
 
 
-def sample_clone(fitted: Coloured, settings: CloneSettings, *, key: PRNGKey) -> Sampled:
+def sample_clone(fitted: Coloured, *, key: PRNGKey) -> Sampled:
     """Sample the posterior of the pigments."""
     posterior = pigments.sample_pigments(fitted.windows, fitted.base, fitted.fit, key=key)
     return Sampled(**vars(fitted), posterior=posterior)
@@ -805,7 +805,7 @@ def with_visible_thickness(
     fitted iris, by its response to it, and shows in that one: windows tell the colours of rings,
     but not that there are fibres.
     """
-    for one in fit.maxima():
+    for one in fit.maxima() if fit.others else ():
         if one.log_density < fit.log_density - _TIED:
             break
         if response(one.iris(base)) >= LEAST_RESPONSE:

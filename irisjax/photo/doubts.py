@@ -100,7 +100,8 @@ def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tup
     if isinstance(found, Sampled) and not found.posterior.converged:
         model.append(
             f"the intervals of the pigments are rough: their samples count as "
-            f"{found.posterior.effective:.0f} independent ones, not as {pigments.EFFECTIVE}"
+            f"{found.posterior.effective:.0f} independent ones, not as {pigments.EFFECTIVE}; try "
+            "another --seed"
         )
     return (*doubts, *(Doubt("model", said) for said in model))
 

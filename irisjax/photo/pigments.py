@@ -132,7 +132,7 @@ class PigmentFit(NamedTuple):
         converged: Whether the search ended by itself.
         log: Course of the search, a row of numbers by name for each turn.
         others: Other maxima of the posterior, the highest first.
-        log_density: Logarithm of the posterior density, without constants.
+        log_density: Logarithm of the posterior density, without constants; NaN of the simplex's.
     """
 
     values: dict[str, float]
@@ -233,9 +233,8 @@ def fit_pigments(windows: Windows, base: Iris) -> PigmentFit:
         log.append(_numbers(row | parameter_values(jnp.asarray(z[place]))))
 
     def fit(i: int) -> PigmentFit:
-        ended, density = bool(converged[i, -1]), float(log_density[i, -1])
-        found = _fit(z[i, -1], spread[i], windows, base, int(np.sum(steps)), ended, log)
-        return found._replace(log_density=density)
+        known = z[i, -1], spread[i], windows, base, int(np.sum(steps)), bool(converged[i, -1])
+        return _fit(*known, log, float(log_density[i, -1]))
 
     return fit(best)._replace(others=tuple(map(fit, others)))
 
@@ -347,10 +346,10 @@ def sample_pigments(
         approximations.append(Start(middle, slope @ known.covariance @ slope.T))
     start, *others = approximations
     random = np.random.RandomState(words_of(key))
-    with ThreadPoolExecutor(2) as pool:  # one program is too small for two cores
-        density = partial(_densities, (windows, base), pool)
-        counts: dict[str, Any] = {"rounds": _ROUNDS, "effective": EFFECTIVE}
-        found = importance_sample(density, start, random, others=others, **counts)
+    density = partial(_densities, (windows, base))
+    found = importance_sample(
+        density, start, random, others=others, rounds=_ROUNDS, effective=EFFECTIVE
+    )
     values = map_rows(_values_of_draws, found.samples, EFFECTIVE)
     z = values.pop("z")
     estimates = {}
@@ -475,8 +474,7 @@ def _starts(windows: Windows, base: Iris, free: list[int]) -> Float[np.ndarray, 
     draws = stats.norm.ppf(qmc.Sobol(len(free), rng=0).random(_DRAWN))
     x = np.zeros((_DRAWN, len(FREE_NAMES)))
     x[:, free] = draws
-    with ThreadPoolExecutor(2) as pool:
-        densities = _densities((windows, base), pool, x)
+    densities = _densities((windows, base), x)
     chosen = np.zeros((0, len(FREE_NAMES)))
     for row in x[np.argsort(-densities, kind="stable")]:
         if (np.abs(row - chosen).max(-1) > _APART).all():
@@ -491,8 +489,8 @@ def _starts(windows: Windows, base: Iris, free: list[int]) -> Float[np.ndarray, 
 def _maxima(z, covariances, log_density) -> list[int]:
     """Return which searches found maxima of their own, the highest first."""
     found: list[int] = []
-    for i in np.argsort(-np.nan_to_num(log_density, nan=-np.inf), kind="stable"):
-        if found and not log_density[i] > log_density[found[0]] - _LOWER:
+    for i in np.argsort(-log_density, kind="stable"):  # `log_posterior` is never NaN
+        if found and log_density[i] <= log_density[found[0]] - _LOWER:
             break
         away = [z[i] - z[k] for k in found]
         squares = (d @ np.linalg.solve(covariances[k], d) for k, d in zip(found, away, strict=True))
@@ -550,10 +548,13 @@ def _simplex_stage(start, others, windows, base, rest, eumelanin: bool, max_step
     return solution.value, solution.stats["num_steps"], solution.result == optx.RESULTS.successful
 
 
-def _fit(z, covariance, windows, base, steps: int, converged: bool, log) -> PigmentFit:
+def _fit(
+    z, covariance, windows, base, steps: int, converged: bool, log, log_density: float = math.nan
+) -> PigmentFit:
     values = _numbers(parameter_values(jnp.asarray(z)))
     rms = np.asarray(_rms_and_exposures(jnp.asarray(z), windows, base)[0])
-    return PigmentFit(values, z, covariance, rms, steps, converged, tuple(log))
+    known = values, z, covariance, rms, steps, converged, tuple(log)
+    return PigmentFit(*known, log_density=log_density)
 
 
 def _numbers(row: dict[str, Any]) -> dict[str, float]:
@@ -638,8 +639,9 @@ def _values_of_draws(x):
     return {"z": z, **jax.vmap(parameter_values)(z)}
 
 
-def _densities(model: tuple[Windows, Iris], pool: ThreadPoolExecutor, x) -> np.ndarray:
-    return map_rows(partial(_density, model), np.asarray(x, np.float64), _ROWS, pool.map)
+def _densities(model: tuple[Windows, Iris], x) -> np.ndarray:
+    with ThreadPoolExecutor(2) as pool:  # one program is too small for two cores
+        return map_rows(partial(_density, model), np.asarray(x, np.float64), _ROWS, pool.map)
 
 
 @eqx.filter_jit

@@ -21,9 +21,9 @@ def valley(x, weight, narrow):
 
 
 def until(tolerance):
-    """The solver to a tolerance that may be traced."""
-    at = lambda solver: (solver.rtol, solver.atol)  # noqa: E731
-    return eqx.tree_at(at, levenberg_marquardt(), (tolerance, tolerance))
+    """Return the solver that ends at a tolerance, which may be traced."""
+    solver = levenberg_marquardt()
+    return eqx.tree_at(lambda s: (s.rtol, s.atol), solver, (tolerance, tolerance))
 
 
 @eqx.filter_jit

@@ -66,8 +66,8 @@ def alone(posed):
 
 
 def test_the_mirrored_face_is_masked(first, posed):
-    """Of an eye that is turned: where it makes the rim brighter by a third than without a face. An
-    eye that looks into the camera mirrors none.
+    """An eye that is turned mirrors the face beside it: where the rim is brighter by a third than
+    without a face, it is masked. An eye that looks into the camera mirrors no face.
     """
     found = posed_from(photographed(NAME.replace(".", "_dirty."), SCALE).photograph(), first)
     outside = np.zeros(found.clear.shape, bool)

@@ -109,7 +109,7 @@ def solved(reflection: bool, wrong: float = 0.0):
 
 
 def test_an_iris_whose_epithelium_is_black_cannot_have_these_colours():
-    """Of the maxima of a posterior texels take one that can."""
+    """`is_within` tells the iris that can make the colours of the pixels from one that cannot."""
     radius = radii()
     known = (radius > float(BARE.pupil_radius) + 0.2) & (radius < 5.2)
 

@@ -160,8 +160,9 @@ def test_along_the_normal_no_direction_is_preferred():
 
 
 def test_scalar_limit():
-    """With the phase matrix's first element in its place (half of it for either wave), between
-    equal media: scalar theory, here in the mean over azimuths.
+    """The polarised solver gives scalar theory's reflectance, and its BRDF in the mean over azimuths,
+    if the phase matrix has its first element alone (half of it for either wave) and all media have
+    one refractive index.
     """
     exits, azimuth = np.repeat([0.9, 0.3], 3), np.tile(np.arange(3) * 2 * np.pi / 3, 2)
     made, lit = layers(*HARD, (1.4, 1.4, 1.4, 1.4)), common.light(0.6, exits, azimuth)
@@ -285,7 +286,7 @@ def test_extremes(media, deepest, bits):
 
 
 def _seen_by(meter):
-    """What a polarimeter or analyser looks at, and its factor on light."""
+    """Return the solution that a polarimeter or analyser reads, and its factor on light."""
     factor, lit = meter.incident()
     made = _layers_of(ij.Iris.of_level("low"), meter.pigments, 1.336)
     exits = lit.exits and (np.asarray(x) for x in (lit.exits.cosine, lit.exits.azimuth))
@@ -300,7 +301,9 @@ def _read(instrument, solution, factor):
 
 @pytest.mark.parametrize("where", [1.0, 0.6, "hemisphere"])
 def test_both_analysers_make_the_whole(where):
-    """Of unpolarised light: the mean over two polarisers of the sum over both analysers."""
+    """The readings of crossed and parallel analysers add up to that without an analyser, in the mean
+    over two polarisers at right angles, which make the light unpolarised.
+    """
     settings = {"cos_exit": where, "cos_incidence": 0.8, "azimuth": 0.7}
     total = 0.0
     for setting, polariser in itertools.product(("crossed", "parallel"), (0.3, 0.3 + np.pi / 2)):

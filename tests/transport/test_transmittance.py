@@ -42,7 +42,9 @@ def solved(name, mass):
 
 @functools.partial(quick_jit, static_argnums=0)
 def run(name, mass, eumelanin, *way):
-    """What a solver finds, and how the transmittance changes along a way in both pigments."""
+    """Return the solution, and the derivative of the transmittance along a direction in the space of
+    both pigments; `None` in its place for solvers without derivatives.
+    """
 
     def solve(mass, eumelanin):
         iris = PALE.replace(ipe_melanin=mass, eumelanin=eumelanin)
