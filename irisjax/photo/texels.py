@@ -10,7 +10,6 @@ with the photograph's own light. What it cannot say stays as a map of its own.
 import functools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -59,7 +58,7 @@ GAINS = (1.0, 2.0, 0.5, 4.0, 8.0)
 _PRIOR = 1.5  # standard deviation of the logarithms about the fitted iris, at the coarsest level
 _FINER = 0.5  # of those between a level and the next coarser one
 _STEPS = 12, 5, 4, 4  # most of Levenberg and Marquardt at each level, from the coarsest
-_POLISH = 3  # most with the table of the picture
+_BEYOND = 0.3  # of the logarithms of the finest pixels, beyond those of the next coarser
 _SLIGHT = 0.1  # twice the log density that a chunk's last step gains, or promised if refused
 _NOISE = 0.006  # least standard deviation of an encoded channel: rounding, JPEG, the model
 _POWER, _DARK = 1 / 2.4, 1e-3  # of the encoding in which errors are alike, and its straight part
@@ -272,8 +271,8 @@ def colour_iris(
     shape, iris = known.shape, scene.tissue
     integrator: Any = scene.integrator
     response = respond(ranges_about(coarsest, levels[-1].known, factors))
-    local = solve_levels(levels, response, exposure, gain)
-    middle = np.median(local.logs[known], axis=0)
+    logs, before = solve_levels(levels, response, exposure, gain)
+    middle = np.median(logs[known], axis=0)
     iris = moved_iris(iris, np.exp(middle))
 
     # Cells about as fine as the photograph's pixels, of few sizes, so that programs are shared.
@@ -298,14 +297,16 @@ def colour_iris(
             held["residual"] = jnp.asarray(np.exp(np.moveaxis(residual, 0, -1)))
         return IrisMaps(stroma_depth=stroma * iris.stroma_thickness, **held)
 
-    # Last of all with the very table of the picture: its errors count where the iris is dark.
-    logs = polar(local.logs - middle, known)
-    ends = [f(logs, axis=(1, 2), keepdims=True) for f in (np.min, np.max)]
-    ranges = scale_ranges(iris, maps_of(logs))
+    # The finest pixels with a table as narrow as the picture's: its errors count where the iris is
+    # dark.
+    logs = logs - middle
+    low, high = logs[known].min(0) - _BEYOND, logs[known].max(0) + _BEYOND
+    ends = [np.broadcast_to(end[:, None, None], (3, 2, 2)) for end in (low, high)]
+    ranges = scale_ranges(iris, maps_of(np.concatenate(ends, axis=1)))
     response = respond(ranges, scene.replace(iris=iris))
-    near = local._replace(logs=local.logs - middle)
-    local = polish(levels[0], near, response, exposure, gain, doubt)
-    logs = np.clip(polar(local.logs, known), *ends)
+    numbers = (logs, before), response, exposure, gain, _STEPS[-1]
+    local = _level(levels[0], *numbers, doubt=doubt)
+    logs = polar(local.logs, known)
     off, encoded = local.off[known], (np.maximum(target * exposure, 0) + _DARK)[known] ** _POWER
     explained = 1 - (off**2).sum() / ((encoded - encoded.mean(0)) ** 2).sum()
 
@@ -316,7 +317,7 @@ def colour_iris(
     ratio = np.where(shown[..., None], target / gain / drawn, 1.0).astype(np.float32)
     residual = polar(np.log(np.clip(ratio, KEPT.low, KEPT.high)), shown)
     filled = fill_by_texture(np.concatenate([logs, residual]), hidden)
-    maps = maps_of(np.clip(filled[: len(NAMES)], *ends), filled[len(NAMES) :])
+    maps = maps_of(filled[: len(NAMES)], filled[len(NAMES) :])
     variances = np.einsum("...ii->...i", local.covariance)
     sds = np.sqrt(np.maximum(variances, 1e-12))
     correlation = local.covariance / (sds[..., None] * sds[..., None, :])
@@ -392,29 +393,18 @@ def solve_levels(
     response: TexelResponse,
     exposure: Float[np.ndarray, "3"],
     gain: float,
-) -> Local:
-    """Solve all levels, the coarsest first, each near the numbers of the coarser one. Edges stay: a
-    photograph outweighs a prior of this width wherever it shows them.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve all levels but the finest, the coarsest first, each near the numbers of the coarser
+    one. Edges stay: a photograph outweighs a prior of this width wherever it shows them.
+
+    Returns:
+        Logarithms at the finest pixels, and their covariance as a prior of these.
     """
-    local = _coarsest(levels[-1], response, exposure, gain)
-    finer = zip(pairwise(reversed(levels)), _STEPS[1:], strict=True)
-    for (coarser, level), steps in finer:
-        near = _enlarged(local, coarser.known, level.known.shape)
-        local = _level(level, near, response, exposure, gain, steps)
-    return local
-
-
-def polish(
-    level: Seen,
-    near: Local,
-    response: TexelResponse,
-    exposure: Float[np.ndarray, "3"],
-    gain: float,
-    doubt: Float[np.ndarray, "3 3"],
-) -> Local:
-    """Solve the finest level once more, by another table, from numbers that are close."""
-    numbers = near.logs, near.before
-    return _level(level, numbers, response, exposure, gain, _POLISH, doubt=doubt)
+    near, before = _coarsest(levels[-1], response, exposure, gain), levels[-1]
+    for level, steps in zip(levels[-2:0:-1], _STEPS[1:-1], strict=True):
+        numbers = _enlarged(near, before.known, level.known.shape)
+        near, before = _level(level, numbers, response, exposure, gain, steps), level
+    return _enlarged(near, before.known, levels[0].known.shape)
 
 
 def ranges_about(local: Local, known: Mask, factors: Scales = FACTORS) -> Scales:
