@@ -61,7 +61,7 @@ BLOODLESS = {"blue": 0.04}
 INSIDE = ((-0.75, 0.75), (-0.85, 0.85), (-0.85, 0.85))
 """Standard deviations of L*, a* and b* within which a colour is as good as the mean."""
 OWN = {  # the same, of those that would else look alike, and of one whose spread is small
-    "blue": ((-0.75, 0.75), (-0.92, 0.85), (-0.85, 0.65)),
+    "blue": ((-0.75, 0.75), (-0.94, 0.85), (-0.85, 0.6)),
     "grey": ((-0.75, 0.75), (-0.5, 0.5), (-0.2, 0.5)),
     "hazel": ((-0.75, 0.4), (-0.7, 0.7), (-0.85, 0.5)),
     "brown": ((-0.75, 0.75), (-0.85, 0.85), (0.1, 0.85)),

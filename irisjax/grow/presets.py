@@ -35,20 +35,20 @@ _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red an iris.
 _THICKNESS = {"hazel": 0.35, "amber": 0.55, "brown": 0.35}
 _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.0382, 0.00598, 0.0369, 0.227, 7.38), (0.0204, 0.00975, 0.0301, 0.164, 13.9)),
-    "grey": ((0.0868, 0.0308, 0.51, 0.148, 10.9), (0.035, 0.0403, 0.533, 0.114, 18.9)),
-    "green": ((0.00853, 0.511, 0.98, 0.0146, 15.8), (0.0283, 0.701, 0.971, 0.0304, 26.8)),
-    "hazel": ((0.517, 0.607, 0.663, 0.239, 33.1), (0.154, 1.08, 0.66, 0.133, 33.3)),
-    "amber": ((0.0481, 0.655, 0.559, 0.17, 36.3), (0.0387, 0.721, 0.594, 0.0673, 34.6)),
-    "brown": ((0.405, 1.02, 0.739, 0.312, 38.0), (0.321, 0.777, 0.691, 0.23, 34.2)),
-    "dark-brown": ((1.27, 0.18, 0.449, 0.253, 29.7), (0.746, 0.518, 0.507, 0.173, 35.5)),
+    "blue": ((0.0354, 0.00963, 0.0678, 0.208, 7.16), (0.0269, 0.0154, 0.165, 0.148, 13.6)),
+    "grey": ((0.0908, 0.0254, 0.537, 0.142, 9.79), (0.0619, 0.0409, 0.372, 0.12, 18)),
+    "green": ((0.00615, 0.481, 0.98, 0.0119, 16.5), (0.023, 0.644, 0.98, 0.0249, 29.5)),
+    "hazel": ((0.458, 0.582, 0.716, 0.264, 32.5), (0.216, 0.722, 0.917, 0.134, 32.8)),
+    "amber": ((0.074, 0.718, 0.545, 0.143, 39.8), (0.0467, 0.714, 0.589, 0.0683, 34.3)),
+    "brown": ((0.345, 1.01, 0.753, 0.343, 38.5), (0.318, 0.664, 0.739, 0.248, 35.2)),
+    "dark-brown": ((1.07, 0.228, 0.466, 0.277, 30.5), (0.528, 0.48, 0.727, 0.164, 34.1)),
 }
-# Thicker stroma is darker in brown irides, so that their fibres show by relief alone.
-_BROWN = {"abl": 0.5, "fibres": 0.6, "collarette": 0.5, "relief": 0.2}
+# Thicker stroma is darker in brown irides, so that their fibres show less.
+_BROWN = {"abl": 0.5, "fibres": 0.8, "collarette": 0.5}
 _FEATURES: dict[str, dict[str, Any]] = {
-    "blue": {"crypts": 9, "patches": 0.7, "furrows": 2, "collarette": 0.6},
-    "grey": {"crypts": 18, "patches": 0.8, "looseness": 0.8, "fibres": 1.3},
-    "green": {"crypts": 18, "patches": 0.8, "amber": 1.5, "heterochromia": 2.0, "abl": 0.5},
+    "blue": {"crypts": 9, "patches": 0.7, "furrows": 2, "looseness": 0.3},
+    "grey": {"crypts": 13, "patches": 0.8, "looseness": 0.8, "fibres": 1.1},
+    "green": {"crypts": 10, "patches": 0.8, "amber": 1.5, "heterochromia": 2.0, "abl": 0.5},
     "hazel": {"crypts": 10, "patches": 0.7, "heterochromia": 2.5, "abl": 0.9, "freckles": 4},
     "amber": {"crypts": 8, "patches": 1.2, "amber": 1.0, "heterochromia": 0.5, "abl": 0.6}
     | {"fibres": 0.8},
@@ -74,12 +74,12 @@ def preset(
     them for each process so that a picture in the studio shows the visible iris, through the cornea
     and with the preset's maps, in the colour of photographed irides within one standard deviation
     (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Of all such
-    values it chooses the pigments nearest to usual ones and the weakest scattering: 8 to 38 times
-    LB06's by ILIT and 14 to 36 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
+    values it chooses the pigments nearest to usual ones and the weakest scattering: 7 to 40 times
+    LB06's by ILIT and 14 to 35 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
     other soft tissues have. Hazel, brown and amber also need a stroma of 0.35, 0.35 and 0.55 mm.
     Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
     Exp. Eye Res. 67, 293]. The redness of photographed irides requires more blood than LB06's 0.084
-    mmol/l, at most 0.312, a seventh of pure blood's; its saturation is 0.95, as in the
+    mmol/l, at most 0.343, a seventh of pure blood's; its saturation is 0.95, as in the
     choroid, since a saturation of 0.5 would require twice as much blood. Fibrils have LB06's
     radius, which has the same effect as the strength. Hazel and green eyes are browner near the
     pupil, where their maps add eumelanin.
@@ -107,7 +107,7 @@ def preset(
     fields |= {"saturation": _SATURATION, "stroma_thickness": thickness}
     iris = Iris().replace(**fields).replace(**dict(pigments or {}))
     # A share of the thickness, so that the relief is as high in a thicker stroma.
-    arguments: dict[str, Any] = {"relief": 0.25 * usual / thickness, "margins": 1.0}
+    arguments: dict[str, Any] = {"relief": 0.12 * usual / thickness, "margins": 0.6}
     arguments |= _FEATURES.get(colour, {}) | dict(features or {})
     # Presets of one key have patterns of their own.
     key = jax.random.fold_in(key, list(_PIGMENTS).index(colour))

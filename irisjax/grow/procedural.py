@@ -1,10 +1,10 @@
 """Procedural irides: maps grown from a seed.
 
 The stroma follows the ultrasound profile of [F09 Section 3] and has two layers. A meshwork of fine
-fibres that lean to either side and cross lies below; above it cords of uneven thickness are
-gathered in bundles, which part and join; slits part them in the pupillary zone. Fuchs's crypts are
-gaps between bundles, open in a wreath outside the collarette. Density, sharpness and pigment vary
-in clouds, sectors and rings. Features are drawn from what photographs show, not fitted to anything.
+fibres that lean to either side and cross lies below; above it cords of uneven thickness wander,
+cross and shade one another; slits part them in the pupillary zone. Fuchs's crypts are gaps between
+bundles, open in a wreath outside the collarette. Density, sharpness and pigment vary in clouds,
+sectors and rings. Features are drawn from what photographs show, not fitted to anything.
 """
 
 import math
@@ -18,7 +18,7 @@ import optimistix as optx
 from jax.random import bits, fold_in
 from jaxtyping import Array
 
-from irisjax._types import PRNGKey, Scalar
+from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.noise import (
     Count,
@@ -38,16 +38,35 @@ from irisjax.tissue.maps import IrisMaps, cell_centres
 IPE_THICKNESS = 0.07
 """Thickness of the iris pigment epithelium, mm, which ultrasound includes  [F09 Section 3]."""
 COLLARETTE = 0.30  # mean radius of the collarette between the pupil's edge (0) and the root (1)
-STROMA, ABL, MELANIN = (0.2, 1.8), (0.5, 1.6), (0.4, 2.5)
+STROMA, ABL, MELANIN = (0.13, 2.6), (0.5, 1.6), (0.4, 2.5)
 """Ranges of maps relative to their means: wider ones cost the renderer's tables accuracy."""
+SMOOTH_STROMA = 0.2, 1.8
+"""The range of a stroma without fibres."""
 FURROW_HEIGHT = 0.025  # height of a contraction furrow's crest, mm
 PUPIL_AT_REST = 1.9
 """Radius of the pupil, mm, at which an iris has its mean thicknesses."""
-BUNDLE_CELLS = (67, 5, 1.0), (139, 4, 0.0)
+BUNDLE_CELLS = (53, 4, 1.0), (139, 4, 0.0)
 """Cells between bundles of fibres, wide ones and slits: their numbers round the iris and along the
 radius, and whether they are wide.
 """
-MOST_CRYPTS = 67  # crypts, at which all wide cells near the collarette are open
+UPPER_FIBRES = (
+    (191, 1.5, 0.30, 0.7, 0.03),
+    (167, 1.5, 0.30, 0.7, -0.03),
+    (139, 1.4, 0.28, 0.8, 0.02),
+    (113, 1.3, 0.25, 0.9, -0.02),
+    (83, 1.1, 0.22, 0.9, 0.012),
+    (53, 0.8, 0.16, 1.0, -0.012),
+)
+LOWER_FIBRES = (
+    (139, 1.2, 0.35, 0.8, 0.08),
+    (127, 1.2, 0.35, 0.8, -0.08),
+    (181, 1.2, 0.35, 0.6, 0.0),
+)
+"""Layers of strands of the two leaves of the stroma, the lowest first: numbers round the iris, how
+far they wander and how wide they are, relative to their distances, height, and lean in turns.
+"""
+MOST_FREEDOM = 2.5  # at which strands wander as far as their neighbours are searched for
+MOST_CRYPTS = 53  # crypts, at which all wide cells near the collarette are open
 FIBRE_SPACING = 0.045  # mm between neighbouring fibres, below which they are not drawn
 _Radius = TypeVar("_Radius", Array, np.ndarray)
 
@@ -159,10 +178,10 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     mean_stroma = mean_thickening * iris.stroma_thickness
     mean_abl = mean_thickening * iris.abl_thickness
     looseness = amounts["looseness"] * smoothstep(0.5 + 1.6 * openness)
-    focus = 0.6 + 0.4 * smoothstep(0.55 + 1.4 * blur)
+    focus = 0.1 + 0.9 * smoothstep(0.6 + 1.5 * blur + 0.6 * mist)
     bent_turns = turns + compression * (0.006 * bend + (0.0015 + 0.003 * looseness) * arc)
     # Fibres of the ciliary zone curl; those that a wide pupil compresses do so already.
-    bent_turns += 0.003 / compression * smoothstep((radius - 0.2) / 0.3) * curl
+    bent_turns += 0.0012 / compression * smoothstep((radius - 0.2) / 0.3) * curl
     ring = COLLARETTE + _collarette_offset(wreath, turns)
     capacity = 2 * jnp.pi * distance / FIBRE_SPACING  # number of fibres that fit round a ring
     share = amounts["crypts"] / MOST_CRYPTS * jnp.exp(2 * openness)
@@ -170,27 +189,27 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
         crypts, bent_turns, radius, ring, looseness, mist, share, capacity, shape[0]
     )
     crest = _furrows(furrows, turns, radius, amounts["furrows"])
-    lean = (0.02 + 0.05 * looseness) * (radius + 0.1 * arc)
-    cords, mesh, streak, gap = _fibres(
-        fibres, bent_turns, lean, radius, compression, capacity, shape[0]
-    )
+    # Strands run straight inside the collarette, and wander outside and round a wide pupil.
+    freedom = compression * (0.25 + smoothstep((radius - ring) / 0.2)) * (0.4 + looseness)
+    freedom = jnp.minimum(freedom, MOST_FREEDOM)
+    cords, mesh, streak, gap = _fibres(fibres, bent_turns, radius, freedom, capacity, shape[0] // 4)
+    cords, mesh = (_blend(_soften(x, 12), x, focus) for x in (cords, mesh))  # parts are hazy
     outside = smoothstep((ragged_radius - ring) / 0.06 + 0.5)
     # Between the cords of the pupillary zone lie slits, which narrow outwards.
     taper = jnp.maximum(1 - radius / (ring * (0.75 + 0.6 * mist)), 0.0)
     slit = jnp.exp(-((4 * gap) ** 2) / (taper + 1e-3)) * smoothstep(6 * taper)
     # Near the root the cords bend into arcs.
     root = jnp.exp(-((3 * arc) ** 2)) * smoothstep((radius - 0.6) / 0.3)
-    opening = opening * smoothstep((1.1 - cords) / 0.5)  # cords bridge an opening
+    opening = opening * smoothstep((0.75 - cords) / 0.4)  # cords bridge an opening
     opening *= jnp.minimum(1.0, 1.3 / compression)  # a wide pupil closes them
-    contrast = amounts["fibres"] * focus
+    contrast = amounts["fibres"] * (0.5 + 0.5 * focus)
     # Logarithms of the stroma's thickness: `surface` rises towards the cornea, `inner` lies below.
-    inner = contrast * ((0.55 + opening) * mesh + 0.5 * wool + 0.5 * streak + 0.4 * root)
+    inner = contrast * ((1.6 + opening) * mesh + 0.7 * wool + 0.5 * streak + 0.4 * root)
     frame = 4 * opening * (1 - opening)  # a crypt's rim
-    upper = (0.9 + 0.8 * outside) * (cords - 0.3) + 0.8 * outside * looseness * (bundle - 0.3)
+    upper = (2.5 + 2.5 * outside) * (cords - 0.18) + 0.8 * outside * looseness * (bundle - 0.3)
     surface = contrast * upper
-    surface -= 0.6 * amounts["fibres"] * (1 - focus)  # as thick as between the cords
     clouds = 0.8 * cloud + 0.6 * wide + 0.5 * mist
-    surface += amounts["clouds"] * clouds * (0.4 + 0.6 * outside)
+    surface += 1.3 * amounts["clouds"] * clouds * (0.4 + 0.6 * outside)
     crests, pupillary = _collarette(wreath, turns, ragged_radius, ring)
     surface += amounts["collarette"] * (0.2 * crests - 0.3 * pupillary)
     surface -= 0.5 * opening + 0.4 * contrast * slit
@@ -200,31 +219,34 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     inner -= 2.5 * amounts["ruff"] * rim + 1.4 * opening + 0.8 * contrast * slit
     inner += 0.7 * frame
     margin = (1 - seam) * smoothstep(1 - radius / compression / (0.16 + 0.1 * mist))
-    edge = smoothstep((radius - 0.74 + 0.15 * cloud) / 0.3)
+    edge = smoothstep((radius - 0.78 + 0.2 * cloud + 0.15 * wide + 0.1 * mist) / 0.3)
     inner -= 1.2 * amounts["margins"] * (margin + edge)
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
     stroma = jnp.log(stroma * thickening) + 0.85 * (surface + inner)
-    mottling = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * (cords - 0.3)
+    mottling = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * (cords - 0.18)
     abl = jnp.log(thickening) + amounts["abl"] * mottling
     abl = _limit_range(abl, distance, mean_abl, ABL)
-    height = mean_stroma * _soften(jnp.tanh(0.7 * surface) / 0.7)
+    # Texels cannot resolve finer slopes, and the tissue would look carved.
+    height = mean_stroma * _soften(jnp.tanh(0.7 * surface) / 0.7, 3)
     height += jnp.where(amounts["abl"] > 0, abl - mean_abl, 0.0)
-    reach = ring + 0.14 + 0.15 * cloud + 0.3 * streak + 0.2 * (cords - 0.3)
+    reach = ring + 0.14 + 0.25 * cloud + 0.15 * wide + 0.1 * streak + 0.1 * (cords - 0.18)
     zone = smoothstep((reach - ragged_radius) / 0.25 + 0.5)
     eumelanin = jnp.log1p(amounts["heterochromia"] * zone * (1 + 0.7 * mist))
-    dark = 0.8 * cloud + 0.6 * jnp.tanh(4 * wide) + 0.6 * mist + 0.7 * wool + 0.5 * streak
-    dark += 1.6 * edge + 2.0 * rim + 3.0 * (opening + slit)
-    dark -= contrast * (1.5 * (cords - 0.3) + 0.4 * mesh)
+    dark = 1.2 * cloud + 0.8 * jnp.tanh(4 * wide) + 0.9 * mist + 0.3 * wool + 0.2 * streak
+    dark += 1.6 * edge + 2.0 * rim + 1.5 * (opening + slit)
+    dark -= contrast * (0.5 * (cords - 0.18) + 0.2 * mesh)
     dark += amounts["collarette"] * (0.6 * pupillary - 0.8 * crests)
     eumelanin += amounts["patches"] * dark
-    reach = ring + 0.3 + 0.2 * wide - 0.2 * cloud + 0.3 * streak + 0.2 * (cords - 0.3)
+    reach = ring + 0.25 + 0.3 * wide - 0.3 * cloud + 0.1 * streak + 0.1 * (cords - 0.18)
     zone = smoothstep((reach - ragged_radius) / 0.5 + 0.5)
     cloudy = jnp.maximum(1 + 0.8 * mist + 0.4 * cloud, 0.0)
     pheomelanin = jnp.log1p(amounts["amber"] * zone * cloudy)
+    fibrous = amounts["fibres"] > 0
+    stroma_range = [jnp.where(fibrous, *both) for both in zip(STROMA, SMOOTH_STROMA, strict=True)]
     folds = FURROW_HEIGHT * jnp.minimum(compression, 2.0) * crest
     distance_at_rest, count = eye_at_rest.from_axis(radius), amounts["freckles"]
     return {
-        "stroma_depth": _limit_range(stroma, distance, mean_stroma, STROMA),
+        "stroma_depth": _limit_range(stroma, distance, mean_stroma, stroma_range),
         "abl_depth": abl,
         "relief": amounts["relief"] * height + folds,
         "freckles": _freckles(freckles, turns, distance_at_rest, eye_at_rest, mist + wool, count),
@@ -245,16 +267,18 @@ def stroma_profile(radius: _Radius) -> _Radius:
     return thickness - IPE_THICKNESS - 0.05675
 
 
-def _soften(height: NoiseField) -> NoiseField:
-    """Smooth a height along the angle by (1, 2, 1) / 4 three times: texels cannot resolve
-    finer slopes, and the tissue would look carved.
-    """
-    for _ in range(3):
-        height = (jnp.roll(height, 1, 0) + 2 * height + jnp.roll(height, -1, 0)) / 4
-    return height
+def _soften(field: NoiseField, times: int) -> NoiseField:
+    """Smooth a field along the angle by (1, 2, 1) / 4 several times."""
+    for _ in range(times):
+        field = (jnp.roll(field, 1, 0) + 2 * field + jnp.roll(field, -1, 0)) / 4
+    return field
 
 
-def _limit_range(logs, distance, mean, limits: tuple[float, float]) -> NoiseField:
+def _blend(one: NoiseField, other: NoiseField, share: NoiseField) -> NoiseField:
+    return one + share * (other - one)
+
+
+def _limit_range(logs, distance, mean, limits) -> NoiseField:
     """Scale values, given by their logarithms, to an area mean, and compress them smoothly to a
     range relative to it: its ends are approached and not reached, so that thick and thin tissue
     keeps its fibres.
@@ -262,7 +286,7 @@ def _limit_range(logs, distance, mean, limits: tuple[float, float]) -> NoiseFiel
     Texels cover areas in proportion to their distance from the axis.
     """
     low, high = limits
-    reach = math.log(high / low)
+    reach = jnp.log(high / low)
     weights = distance / jnp.sum(distance)
 
     def compress(shift):  # ratios are kept in the middle of the range
@@ -281,69 +305,68 @@ def _limit_range(logs, distance, mean, limits: tuple[float, float]) -> NoiseFiel
     return relative * (mean / jnp.sum(weights * relative))
 
 
-def _strands(seed: Seed, turns, radius, count: int, sway: Scalar) -> NoiseField:
-    """Draw `count` wavy cords of finite length, of height 0 to 1, most of them low and thin and a
-    few high and thick.
-    """
-    wave, *seeds = split_seed(seed, 5)
-    x = turns * count
-
-    def add_strand(top, offset):
-        strand = jnp.floor(x) + offset
-        shift, size, middle, length = (hash_uniform(s, strand % count, 0 * x) for s in seeds)
-        size = ((1 + size) / 2) ** 3
-        shift = 0.8 * shift + sway * noise(wave, strand / count, radius, (count, 4), 2)
-        away = (x - strand - 0.5 - shift) / (0.14 + 0.4 * size)
-        along = jnp.abs(radius - 0.55 - 0.4 * middle) / (0.45 + 0.25 * length)
-        height = (0.25 + 0.75 * size) * smoothstep(3 - 3 * along)
-        return jnp.maximum(top, height * jnp.exp(-away * away)), None
-
-    return jax.lax.scan(add_strand, jnp.zeros_like(x), jnp.arange(-2, 3).astype(x.dtype))[0]
-
-
 def _fibres(
-    seed: Seed, turns, lean, radius, compression, capacity, angles: int
+    seed: Seed, turns, radius, freedom, capacity, most: int
 ) -> tuple[NoiseField, NoiseField, NoiseField, NoiseField]:
     """Grow the fibres of both leaves of the stroma.
-
-    Ridges at the zeros of noise lie at uneven distances, join and end. In the upper leaf the finer
-    ridges lie along the coarser ones, so that they form bundles and brightness is heavy-tailed. In
-    the lower leaf they lean to either side and cross.
 
     Returns:
         Heights of the cords of the upper leaf, from 0; of the finer meshwork below, about 0; noise
         for streaks along both; and noise for slits.
     """
-    cord_seed, field_seed = split_seed(seed, 2)
-    around = 19, 41, 89, 167, 239, 61, 71, 139, 157, 190, 90
-    along = 2, 2, 4, 4, 5, 4, 5, 7, 8, 4, 1
-    kinds = [(min(n, angles // 4), m) for n, m in zip(around, along, strict=True)]
-    leaning = jnp.asarray([0.0, 0.2, -0.2, 0.0, 0.2, 1.0, -1.0, 1.0, -1.0, 0.0, 0.0], radius.dtype)
-    table = jnp.stack(split_seed(field_seed, len(kinds))), *jnp.asarray(kinds).T, leaning
+    upper_seed, lower_seed, noise_seed = split_seed(seed, 3)
+    # Single precision suffices for fibres, and takes two thirds of the time.
+    place = [x.astype(jnp.float32) for x in (turns, radius, freedom, capacity)]
 
-    def ridge_noise(kind):
-        seed, around, along, lean_factor = kind
-        return noise(seed, turns + lean_factor * lean, radius, (around, along))
+    def leaf(seed, kinds):
+        few = [(min(n, most), sway * min(1, most / n), *others) for n, sway, *others in kinds]
+        return _strands(seed, *place, few).astype(turns.dtype)
 
-    *fields, streak, gap = jax.lax.map(ridge_noise, table)
-    ridges = []
-    for values, (n, _) in zip(fields, kinds, strict=False):
-        # Near its zeros, noise over its slope is a distance: all ridges have the same width.
-        slope = (jnp.roll(values, -1, 0) - jnp.roll(values, 1, 0)) * (angles / (2 * n))
-        distance = values / jnp.hypot(0.7, slope)
-        # No ridge is narrower than two texels, nor drawn where many would share a pixel.
-        ridge = jnp.exp(-((min(7.0, angles / (1.7 * n)) * distance) ** 2))
-        mean = ridge.mean()
-        ridges.append(mean + smoothstep(capacity / n - 0.5) * (ridge - mean))
-    upper, gathering = 0.0, 1.0
-    for ridge, height in zip(ridges[:5], (0.15, 0.25, 0.5, 0.6, 0.6), strict=True):
-        upper += height * gathering * ridge
-        gathering = 0.35 + ridge
-    cords = jnp.maximum(
-        upper, _strands(cord_seed, turns, radius, min(113, angles // 5), 0.8 * compression)
-    )
-    lower = sum(ridges[5:])
-    return cords, lower - jnp.mean(lower), streak, gap
+    upper, lower = leaf(upper_seed, UPPER_FIBRES), leaf(lower_seed, LOWER_FIBRES)
+    streak, gap = noise_fields(noise_seed, turns, radius, ((min(190, most), 4, 1), (90, 1, 1)))
+    return upper, lower - jnp.mean(lower), streak, gap
+
+
+def _strands(seed: Seed, turns, radius, freedom, capacity, kinds) -> NoiseField:
+    """Draw layers of wavy strands of finite length that cross: most of them are low and thin, a few
+    high and thick. Those of a layer lie above the layers before and shade them beside.
+
+    Args:
+        seed: Seed.
+        turns: Angles, in turns.
+        radius: Relative radii.
+        freedom: How far strands wander, relative to what their layer may.
+        capacity: Number of strands that fit round the iris.
+        kinds: Of each layer the number of strands; how far they wander, and how wide they are, in
+            distances between them; their height; and how far they lean, in turns from pupil to
+            root.
+    """
+
+    def add_layer(top, kind):
+        layer_seed, count, sway, breadth, height, lean = kind
+        seeds = split_seed(layer_seed, 7)
+        x = (turns + lean * (radius - 0.5)) * count
+        # None are drawn where many would share a pixel.
+        tallest = height * smoothstep(capacity / count - 0.3)
+
+        def add_strand(top, offset):
+            strand = jnp.floor(x) + offset
+            draws = [hash_uniform(s, strand % count, 0 * x) for s in seeds]
+            shift, size, middle, length, slow, quick, wave = draws
+            size = ((1 + size) / 2) ** 3
+            wander = jnp.sin((7 + 2 * wave) * radius + jnp.pi * slow)
+            wander += 0.6 * jnp.sin((17 - 4 * wave) * radius + jnp.pi * quick)
+            away = x - strand - 0.5 - 0.5 * shift - 0.4 * sway * freedom * wander
+            away /= breadth * (0.35 + 0.65 * size)
+            along = jnp.abs(radius - 0.5 - 0.5 * middle) / (0.35 + 0.3 * length)
+            own = tallest * (0.3 + 0.7 * size) * smoothstep(2.5 - 2.5 * along)
+            shaded = top * (1 - 0.6 * own * jnp.exp(-0.2 * away * away))
+            return jnp.maximum(shaded, own * jnp.exp(-away * away)), None
+
+        return jax.lax.scan(add_strand, top, jnp.arange(-3, 4).astype(x.dtype))[0], None
+
+    table = jnp.stack(split_seed(seed, len(kinds))), *jnp.asarray(kinds, radius.dtype).T
+    return jax.lax.scan(add_layer, jnp.zeros_like(turns), table)[0]
 
 
 def _fibre_bundles(
@@ -362,11 +385,11 @@ def _fibre_bundles(
         border, offset, chance, middle = _cells(layer_seed, turns, radius, across, along)
         # Wide cells are open in a wreath, slits round it, and a few of both out to the root.
         wreath = jnp.exp(-(((middle - ring - 0.12) / 0.16) ** 2))
-        slits = 0.6 * smoothstep((ring + 0.25 - middle) / 0.3) + 0.1
+        slits = 0.5 * smoothstep((ring + 0.25 - middle) / 0.3) + 0.03
         probability = share * (wide * wreath + (1 - wide) * slits)
         probability *= smoothstep(capacity / across - 0.3)  # none where many would share a pixel
         openness = smoothstep(1.5 - chance / jnp.maximum(probability, 1e-6))
-        opening = jnp.maximum(opening, openness * smoothstep((border - 0.1 + 0.3 * ragged) / 0.5))
+        opening = jnp.maximum(opening, openness * smoothstep((border - 0.1 + 0.4 * ragged) / 0.7))
         height = jnp.exp(-((border / (0.2 + 0.1 * ragged)) ** 2))
         turns -= (0.35 * looseness + 0.4 * openness) * offset
         return (turns, opening, jnp.maximum(bundle, height), middle), middle
