@@ -316,11 +316,11 @@ def _fibres(
     """
     upper_seed, lower_seed, noise_seed = split_seed(seed, 3)
     # Single precision suffices for fibres, and takes two thirds of the time.
-    place = [x.astype(jnp.float32) for x in (turns, radius, freedom, capacity)]
+    x, y, free, room = (v.astype(jnp.float32) for v in (turns, radius, freedom, capacity))
 
     def leaf(seed, kinds):
         few = [(min(n, most), sway * min(1, most / n), *others) for n, sway, *others in kinds]
-        return _strands(seed, *place, few).astype(turns.dtype)
+        return _strands(seed, x, y, free, room, few).astype(turns.dtype)
 
     upper, lower = leaf(upper_seed, UPPER_FIBRES), leaf(lower_seed, LOWER_FIBRES)
     streak, gap = noise_fields(noise_seed, turns, radius, ((min(190, most), 4, 1), (90, 1, 1)))
