@@ -193,7 +193,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     freedom = compression * (0.25 + smoothstep((radius - ring) / 0.2)) * (0.4 + looseness)
     freedom = jnp.minimum(freedom, MOST_FREEDOM)
     cords, mesh, streak, gap = _fibres(fibres, bent_turns, radius, freedom, capacity, shape[0] // 4)
-    cords, mesh = (_blend(_soften(x, 12), x, focus) for x in (cords, mesh))  # parts are hazy
+    cords, mesh = (_defocus(field, focus) for field in (cords, mesh))
     outside = smoothstep((ragged_radius - ring) / 0.06 + 0.5)
     # Between the cords of the pupillary zone lie slits, which narrow outwards.
     taper = jnp.maximum(1 - radius / (ring * (0.75 + 0.6 * mist)), 0.0)
@@ -274,8 +274,10 @@ def _soften(field: NoiseField, times: int) -> NoiseField:
     return field
 
 
-def _blend(one: NoiseField, other: NoiseField, share: NoiseField) -> NoiseField:
-    return one + share * (other - one)
+def _defocus(field: NoiseField, focus: NoiseField) -> NoiseField:
+    """Make a field hazy where the focus, 0 to 1, is low."""
+    soft = _soften(field, 12)
+    return soft + focus * (field - soft)
 
 
 def _limit_range(logs, distance, mean, limits) -> NoiseField:

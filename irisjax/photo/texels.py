@@ -300,9 +300,9 @@ def colour_iris(
     # The finest pixels with a table as narrow as the picture's: its errors count where the iris is
     # dark.
     logs = logs - middle
-    low, high = logs[known].min(0) - _BEYOND, logs[known].max(0) + _BEYOND
-    ends = [np.broadcast_to(end[:, None, None], (3, 2, 2)) for end in (low, high)]
-    ranges = scale_ranges(iris, maps_of(np.concatenate(ends, axis=1)))
+    ends = logs[known].min(0) - _BEYOND, logs[known].max(0) + _BEYOND
+    low, high = (end[:, None, None] for end in ends)
+    ranges = scale_ranges(iris, maps_of(np.repeat(np.concatenate([low, high], 1), 2, axis=2)))
     response = respond(ranges, scene.replace(iris=iris))
     numbers = (logs, before), response, exposure, gain, _STEPS[-1]
     local = _level(levels[0], *numbers, doubt=doubt)
@@ -317,7 +317,7 @@ def colour_iris(
     ratio = np.where(shown[..., None], target / gain / drawn, 1.0).astype(np.float32)
     residual = polar(np.log(np.clip(ratio, KEPT.low, KEPT.high)), shown)
     filled = fill_by_texture(np.concatenate([logs, residual]), hidden)
-    maps = maps_of(filled[: len(NAMES)], filled[len(NAMES) :])
+    maps = maps_of(np.clip(filled[: len(NAMES)], low, high), filled[len(NAMES) :])
     variances = np.einsum("...ii->...i", local.covariance)
     sds = np.sqrt(np.maximum(variances, 1e-12))
     correlation = local.covariance / (sds[..., None] * sds[..., None, :])
@@ -400,11 +400,11 @@ def solve_levels(
     Returns:
         Logarithms at the finest pixels, and their covariance as a prior of these.
     """
-    near, before = _coarsest(levels[-1], response, exposure, gain), levels[-1]
-    for level, steps in zip(levels[-2:0:-1], _STEPS[1:-1], strict=True):
-        numbers = _enlarged(near, before.known, level.known.shape)
-        near, before = _level(level, numbers, response, exposure, gain, steps), level
-    return _enlarged(near, before.known, levels[0].known.shape)
+    local = _coarsest(levels[-1], response, exposure, gain)
+    for coarser, level, steps in zip(levels[:1:-1], levels[-2:0:-1], _STEPS[1:-1], strict=True):
+        near = _enlarged(local, coarser.known, level.known.shape)
+        local = _level(level, near, response, exposure, gain, steps)
+    return _enlarged(local, levels[1].known, levels[0].known.shape)
 
 
 def ranges_about(local: Local, known: Mask, factors: Scales = FACTORS) -> Scales:
