@@ -222,7 +222,7 @@ def animation_frames(
         scene = scene.replace(lights=lamp(1.0), environment=None)
     # The tables serve all frames: the lamp stays below grazing.
     scene, tables = prepare_scene(scene), tables_of(scene)
-    view = project_visible(scene.eye, scene.camera)
+    view = project_visible(scene.eye, scene.camera, once=True)
     texels = texture(view, scene)
     light = illuminate(view, texels, scene, tables)
     response = respond(scene)
@@ -238,7 +238,7 @@ def animation_frames(
         elif change == "camera":
             polar, azimuth = direction(s, _SWING)
             camera = dataclasses.replace(scene.camera, polar=polar, azimuth=azimuth)
-            view = project_visible(scene.eye, camera)
+            view = project_visible(scene.eye, camera, once=True)
             texels = texture(view, scene)
             light = illuminate(view, texels, scene, tables)
         else:

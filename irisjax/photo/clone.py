@@ -474,7 +474,8 @@ def pose_eye(outlined: Outlined, settings: CloneSettings, given: Given = NOTHING
             "the outlines do not fit one another: the eye's middle lies off the limbus"
         )
     cut = slice(y, y + rows), slice(x, x + columns)
-    view, pixels, clear = project_visible(pose.eye, pose.camera), part.pixels[cut], clear[cut]
+    view = project_visible(pose.eye, pose.camera, once=True)
+    pixels, clear = part.pixels[cut], clear[cut]
     limbus = part.limbus.moved(-x, -y)
     if lids.any():
         clear = clear & ~find_mirrored_face(pixels, part.outside[cut], limbus, view.mirror)
@@ -552,7 +553,7 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     the response of the model with these pigments  [F09 Fig. 10].
     """
     eye, light = lit.pose.eye, lit.lighting
-    clear = lit.clear & iris_alone(lit.pose)
+    clear = lit.clear & iris_alone(lit.view)
     clear[lit.refraction.pixels(lit.freckles, clear.shape)] = False
     # The veil of a room beside lamps tells how bright it is; of one that is assumed it is no model.
     alone = light.lamps is None and not light.room and lit.veil is not None
@@ -634,7 +635,7 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
     assert seen is not None
     x, y = map(np.asarray, seen.point[:2])
     radius = scatter_to_picture(seen, np.hypot(x, y), shape)
-    shown = fitted.clear & iris_alone(fitted.pose)
+    shown = fitted.clear & iris_alone(fitted.view)
     ring = scatter_to_picture(seen, ring_radius(eye, x, y), shape)
     clear = shown & (ring > float(eye.pupil_radius + eye.pupil_margin))
     usual = np.log(generic_thickness(radius) / float(fitted.base.stroma_thickness))
@@ -714,7 +715,7 @@ def compare_with_photograph(clone: Fitted) -> PictureDifference:
     balanced = (clone.unveiled() / exposure) ** (1 / contrast) + room
     linear = clone.part, *taken, exposure[1] * balanced
     photograph, rendered, alone, even = (np.clip(np.asarray(srgb_encode(p)), 0, 1) for p in linear)
-    clear = clone.clear & iris_alone(clone.pose)
+    clear = clone.clear & iris_alone(clone.view)
     rms, of_pigments = (np.sqrt(((photograph - p)[clear] ** 2).mean(0)) for p in (rendered, alone))
     return PictureDifference(photograph, rendered, alone, clear, rms, of_pigments, even)
 

@@ -206,10 +206,7 @@ def predicted_colours(values: dict[str, Any], windows: Windows, base: Iris) -> A
 
 def log_posterior(z: Float[Array, " free"], windows: Windows, base: Iris) -> Scalar:
     """Return the logarithm of the posterior density of z (free,), without constants."""
-    values = parameter_values(z)
-    density = log_likelihood(*_log_ratios(values, windows, base), windows.present)
-    density -= 0.5 * ((z**2).sum() + (_errors_of_light(values, windows) ** 2).sum())
-    return jnp.where(jnp.isfinite(density), density, -jnp.inf)
+    return _log_posterior_of(_log_ratios(parameter_values(z), windows, base), z, windows)
 
 
 def fit_pigments(windows: Windows, base: Iris) -> PigmentFit:
@@ -217,14 +214,9 @@ def fit_pigments(windows: Windows, base: Iris) -> PigmentFit:
 
     Steps of Levenberg and Marquardt alternate with estimates of the covariances of the errors.
     """
-    free = [i for i, n in enumerate(FREE_NAMES) if n != "room" or windows.room is not None]
-    starts = _starts(windows, base, free)
-    results = jax.tree.map(np.asarray, _searches(starts[:, free], windows, base, tuple(free)))
-    (optima, log_density), (steps, converged), covariance = results
-    z = np.zeros((len(starts), _TURNS, len(FREE_NAMES)))
-    z[..., free] = optima
-    spread = np.tile(np.eye(len(FREE_NAMES)), (len(starts), 1, 1))
-    spread[np.ix_(range(len(starts)), free, free)] = covariance
+    starts = _starts(windows, base)
+    results = jax.tree.map(np.asarray, _searches(starts, windows, base))
+    (z, log_density), (steps, converged), spread = results
     best, *others = _maxima(z[:, -1], spread, log_density[:, -1])
     log = []
     for place in np.ndindex(len(starts), _TURNS):
@@ -438,8 +430,8 @@ def _errors_of_light(values, windows: Windows):
 
 def _log_white(values, windows: Windows):
     """Logarithms of the values that the camera records of a usual white."""
-    room = 0.0 if windows.room is None else values["room"]
-    radiance = windows.white.reflectance * (windows.white.light + room)
+    light = windows.white.light + windows.in_room * values["room"]
+    radiance = windows.white.reflectance * light
     return jnp.log(_exposures(values)) + values["contrast"] * jnp.log(radiance)
 
 
@@ -467,10 +459,11 @@ def _log_ratios(values, windows: Windows, base: Iris):
     return log_ratios, -slope_of_ratios
 
 
-def _starts(windows: Windows, base: Iris, free: list[int]) -> Float[np.ndarray, "starts all"]:
+def _starts(windows: Windows, base: Iris) -> Float[np.ndarray, "starts free"]:
     """Return where searches begin: near and far from the priors' medians, and where they are most
     probable among draws of the priors.
     """
+    free = [i for i, n in enumerate(FREE_NAMES) if n != "room" or windows.in_room]
     draws = stats.norm.ppf(qmc.Sobol(len(free), rng=0).random(_DRAWN))
     x = np.zeros((_DRAWN, len(FREE_NAMES)))
     x[:, free] = draws
@@ -499,32 +492,40 @@ def _maxima(z, covariances, log_density) -> list[int]:
     return found
 
 
+def _log_posterior_of(log_ratios, z, windows: Windows):
+    """The logarithm of the posterior density, from the result of `_log_ratios` at z."""
+    differences, response = log_ratios
+    density = log_likelihood(differences, response, windows.present)
+    errors = _errors_of_light(parameter_values(z), windows)
+    density -= 0.5 * ((z**2).sum() + (errors**2).sum())
+    return jnp.where(jnp.isfinite(density), density, -jnp.inf)
+
+
 @eqx.filter_jit
-def _searches(starts, windows, base, free: tuple[int, ...]):
-    def all_of(moving):
-        return jnp.zeros(len(FREE_NAMES)).at[jnp.asarray(free)].set(moving)
-
-    def residuals(moving, weight, fixed):
+def _searches(starts, windows, base):
+    # The program holds the model twice, at a start and with its derivatives: all else is computed
+    # from what these return.
+    def residuals(z, weight, fixed):
         del weight  # the priors count in full
-        values = parameter_values(all_of(moving))
-        errors = whitened_errors(_log_ratios(values, windows, base)[0], windows.present, fixed)
-        return jnp.concatenate([errors, _errors_of_light(values, windows), moving]), None
+        values = parameter_values(z)
+        log_ratios = _log_ratios(values, windows, base)
+        errors = whitened_errors(log_ratios[0], windows.present, fixed)
+        return jnp.concatenate([errors, _errors_of_light(values, windows), z]), log_ratios
 
-    def turn(moving, _):
-        fixed = covariances(
-            *_log_ratios(parameter_values(all_of(moving)), windows, base), windows.present
-        )
+    def turn(state, _):
+        z, (differences, response) = state
+        fixed = covariances(differences, response, windows.present)
         solver = levenberg_marquardt(_CLOSE, _CLOSE)
-        minimum = least_squares(residuals, fixed, moving, solver=solver, max_steps=_STEPS[0])
-        converged = minimum.result == optx.RESULTS.successful
-        density = log_posterior(all_of(minimum.x), windows, base)
-        return minimum.x, ((minimum.x, density), (minimum.steps, converged), fixed)
+        found = least_squares(residuals, fixed, z, solver=solver, max_steps=_STEPS[0])
+        converged = found.result == optx.RESULTS.successful
+        density = _log_posterior_of(found.aux, found.x, windows)
+        result = (found.x, density), (found.steps, converged), found.covariance
+        return (found.x, found.aux), result
 
     def search(start):
-        optimum, (turns, counts, fixed) = jax.lax.scan(turn, start, None, _TURNS)
-        last = jax.tree.map(lambda c: c[-1], fixed)
-        jacobian = jax.jacfwd(lambda x: residuals(x, 1.0, last)[0])(optimum)
-        return turns, counts, _inverse(jacobian.T @ jacobian)
+        log_ratios = _log_ratios(parameter_values(start), windows, base)
+        turns, counts, covariance = jax.lax.scan(turn, (start, log_ratios), None, _TURNS)[1]
+        return turns, counts, covariance[-1]
 
     return jax.lax.map(search, starts)
 

@@ -14,7 +14,6 @@ from irisjax.anatomy.eye import Eye
 from irisjax.grow.procedural import procedural
 from irisjax.photo.light import SHADED
 from irisjax.photo.photograph import Brightness, Colours, Mask
-from irisjax.photo.pose import Pose
 from irisjax.photo.texture import LUMINANCE_WEIGHTS
 from irisjax.photo.thickness import generic_thickness
 from irisjax.render import project
@@ -24,7 +23,13 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import solve_response
 from irisjax.render.lights import Lights
 from irisjax.render.outside import mirrored_environment
-from irisjax.render.project import IRIS, SCLERA, IrisPixels, View, scatter_to_picture
+from irisjax.render.project import (
+    IrisPixels,
+    View,
+    VisiblePart,
+    pixel_numbers,
+    scatter_to_picture,
+)
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS
 from irisjax.render.separable import Separable
@@ -103,8 +108,9 @@ class Windows(eqx.Module):
     Attributes:
         colour: As in `WindowPixels`, as are `present`, `veil` and `mirrored`.
         matrix: Matrix from the coefficients of a response to radiance, and its derivative by the
-            logarithm of the stroma's thickness, (2, windows, channels or 1, products × functions).
-        room: The same for a uniform room of radiance 1 beside the lights; `None` without a room.
+            logarithm of the stroma's thickness, (2, windows, channels, products × functions).
+        room: The same for a uniform room of radiance 1 beside the lights.
+        in_room: 1 with that room, 0 without: an array, so that photographs share programs.
         bands: Wavelength bands of the response.
         ranges: Ranges of its thickness scales.
         integrator: Model of light in the iris.
@@ -118,8 +124,9 @@ class Windows(eqx.Module):
     present: Bool[np.ndarray, " windows"]
     veil: Float[np.ndarray, " windows"]
     mirrored: _WindowColours
-    matrix: Float[Array, "2 windows tints terms"]
-    room: Float[Array, "2 windows shades terms"] | None
+    matrix: Float[Array, "2 windows 3 terms"]
+    room: Float[Array, "2 windows 3 terms"]
+    in_room: Float[np.ndarray, ""]
     bands: Bands
     ranges: Scales
     integrator: _Integrator
@@ -143,11 +150,10 @@ class Windows(eqx.Module):
         terms = coefficients.reshape(-1, 3)
         if status is not None:
             terms = jnp.where(status == RESULTS.successful, terms, jnp.nan)
-        matrix = self.matrix if self.room is None else self.matrix + room * self.room
-        shape = (*matrix.shape[:2], 3, matrix.shape[3])
-        radiance, slope = jnp.einsum("dwtk,kt->dwt", jnp.broadcast_to(matrix, shape), terms)
-        radiance += self.mirrored
-        return radiance if self.room is None else radiance + room * self.veil[:, None], slope
+        around = self.in_room * room
+        matrix = self.matrix + around * self.room
+        radiance, slope = jnp.einsum("dwtk,kt->dwt", matrix, terms)
+        return radiance + self.mirrored + around * self.veil[:, None], slope
 
     def thickness_response(self, iris: Iris) -> float:
         """Return d ln luminance / d ln thickness of a mean stroma, seen and lit from the front."""
@@ -210,12 +216,21 @@ def make_windows(
     # Neighbours in a window have different turns.
     turn = 2 * np.pi / turns * (np.arange(len(window)) % turns)
     pixels = dataclasses.replace(pixels, turn=jnp.asarray(turn))
-    matrix, room_matrix = _matrix(pixels, window, lights, *arguments), None
+    # As many lights as of a room: their number is part of a program that compiles for seconds.
+    missing = np.zeros(-len(lights) % ENVIRONMENT_LIGHTS)
+    dark = Lights.distant(missing, 0.0, 0.0, illuminant=lights.illuminant)
+
+    def matrix_of(lights: Lights):
+        matrix = _matrix(pixels, window, lights, *arguments)
+        return jnp.broadcast_to(matrix, (*matrix.shape[:2], 3, matrix.shape[3]))
+
+    matrix = matrix_of(lights + dark)
+    of_room = jnp.zeros_like(matrix)
     if room:
-        uniform = Environment.uniform().to_lights(ENVIRONMENT_LIGHTS)
-        room_matrix = _matrix(pixels, window, uniform, *arguments)
+        of_room = matrix_of(Environment.uniform().to_lights(ENVIRONMENT_LIGHTS))
+    rooms = of_room, np.asarray(float(room))
     index = jnp.asarray(eye.aqueous_index)
-    return Windows(*chosen[2:], matrix, room_matrix, bands, ranges, prepared, index)
+    return Windows(*chosen[2:], matrix, *rooms, bands, ranges, prepared, index)
 
 
 def choose_pixels(
@@ -262,14 +277,17 @@ def choose_pixels(
     return WindowPixels(sampled, window, colour, present, mean(veil, 1)[:, 0], mean(mirrored, 3))
 
 
-def iris_alone(pose: Pose) -> np.ndarray:
-    """Return the pixels of the camera's picture that see the iris and none of the white, which
-    shines through at the limbus.
+def iris_alone(view: View) -> Mask:
+    """Return the pixels of a picture that see the iris and none of the white, which shines through
+    at the limbus.
     """
-    rows, columns = pose.camera.shape
-    index = jnp.arange(rows * columns, dtype=jnp.int32)
-    visible = np.asarray(project.visible_parts(index, pose.eye, pose.camera))
-    return (visible & (IRIS | SCLERA) == IRIS).reshape(rows, columns)
+
+    def seen(part: VisiblePart | None) -> Mask:
+        numbers = np.zeros(0, int) if part is None else pixel_numbers(part)
+        return np.isin(np.arange(columns * rows), numbers).reshape(rows, columns)
+
+    columns, rows = view.size
+    return seen(view.iris) & ~seen(view.sclera)
 
 
 def average_thickness(eye: Eye) -> float:

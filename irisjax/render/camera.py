@@ -1,6 +1,7 @@
 """A pinhole camera that looks at the eye: its rays, and the pixels of points."""
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -103,15 +104,17 @@ class Camera(eqx.Module):
         """Return the camera's position (3,), mm, or that at a `share` of its polar angle."""
         return _pupil_centre(eye) + self.distance * direction_of(share * self.polar, self.azimuth)
 
-    def rays(self, index: Int[Array, " pixels"], eye: Eye) -> tuple[Vector, Vector]:
+    def rays(
+        self, index: Int[Array, " pixels"], eye: Eye, size: tuple[Any, Any] | None = None
+    ) -> tuple[Vector, Vector]:
         """Return the origins (pixels, 3), mm, and unit directions (pixels, 3) of the rays of pixels
-        that are numbered along the rows.
+        that are numbered along the rows, of another `size` than the camera's where it is given.
 
         Origins lie in front of the whole eye, or at the camera where that is nearer: measured from
         a camera metres away, points of the eye would be lost to single precision.
         """
         back, right, up = self.axes()
-        w, h = self.size
+        w, h = self.size if size is None else size
         pitch = self.width / w
         row = index // w
         column = index - w * row
@@ -144,6 +147,26 @@ class Camera(eqx.Module):
         scale = (w / self.width) / (1 - depth / self.distance)
         row = h / 2 - 0.5 - y * scale
         return x * scale + w / 2 - 0.5, row if self.first is None else row - self.first
+
+
+class AnySize(eqx.Module):
+    """The rays of a camera whose size is no part of a program, so that pictures of all sizes share
+    it.
+    """
+
+    camera: Camera
+    size: tuple[Int[Array, ""], Int[Array, ""]]
+
+    @classmethod
+    def of(cls, camera: Camera) -> "AnySize":
+        """Return the rays of a camera."""
+        width, height = camera.size
+        size = jnp.asarray(width, jnp.int32), jnp.asarray(height, jnp.int32)
+        return cls(dataclasses.replace(camera, size=(1, 1), rows=None), size)
+
+    def rays(self, index: Int[Array, " pixels"], eye: Eye) -> tuple[Vector, Vector]:
+        """Return the result of `Camera.rays`."""
+        return self.camera.rays(index, eye, self.size)
 
 
 def _pupil_centre(eye: Eye) -> Vector:

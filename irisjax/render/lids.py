@@ -20,7 +20,7 @@ from irisjax.numerics.interpolation import bilinear, smoothstep
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.numerics.strokes import stamp_strokes, stroke_sections
 from irisjax.optics.conicoid import Parts, Vector, advance, parts
-from irisjax.render.camera import Camera
+from irisjax.render.camera import AnySize, Camera
 from irisjax.render.lights import Lights, wrapped_cosine
 from irisjax.tissue.diffusion import (
     bloodless_absorption,
@@ -130,7 +130,7 @@ def meet_lids(eye: Eye, origin: Vector, direction: Vector) -> Float[Array, " pix
 
 
 @pixelwise
-def trace_lids(index: Array, eye: Eye, camera: Camera) -> LidPixels:
+def trace_lids(index: Array, eye: Eye, camera: Camera | AnySize) -> LidPixels:
     """Trace pixels of these numbers to the lids."""
     lids, centre = eye.lids, sclera_centre(eye)
     assert lids is not None

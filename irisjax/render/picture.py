@@ -193,7 +193,8 @@ def exposure_of_white(scene: Scene) -> float:
     """
     width, height = scene.camera.size
     size = min(width, _PREVIEW_WIDTH), max(round(height * min(1.0, _PREVIEW_WIDTH / width)), 1)
-    view = project_visible(scene.eye, dataclasses.replace(scene.camera, size=size))
+    camera = dataclasses.replace(scene.camera, size=size)
+    view = project_visible(scene.eye, camera, once=True)
     if view.sclera is None:
         raise ValueError("exposure by the white: the camera sees no white of the eye")
     light = np.asarray(surroundings(view, texture(view, scene), scene), np.float64)
@@ -264,8 +265,10 @@ def draw_bands(
     tables = scene.tables() if tables is None else tables
     width, height = scene.camera.size
     channels = 3 if scene.wavelengths is None else len(scene.wavelengths)
-    max_pixels = memory // (_PIXEL_BYTES + _CHANNEL_BYTES * channels)
-    count = min(-(-(width * height * samples**2) // max_pixels), height)
+    # A power of two, as many as the parts of bands are padded to.
+    max_pixels = 1 << (memory // (_PIXEL_BYTES + _CHANNEL_BYTES * channels)).bit_length() - 1
+    most_rows = max(max_pixels // (width * samples**2), 1)
+    count = -(-height // most_rows)
     rows = -(-height // count)
     response = respond(scene)
     for start in range(0, height, rows):
@@ -274,7 +277,7 @@ def draw_bands(
         band_scene = scene
         if count > 1 or samples > 1:
             band_scene = scene.replace(camera=scene.camera.crop_rows(first, rows, samples))
-        view = project_visible(band_scene.eye, band_scene.camera)
+        view = project_visible(band_scene.eye, band_scene.camera, once=True)
         texels = texture(view, band_scene)
         light = illuminate(view, texels, band_scene, tables)
         error = None if response.error is None else float(response.error)

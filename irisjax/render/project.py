@@ -26,7 +26,7 @@ from irisjax.optics.conicoid import (
     reflect_vector,
     refract_vector,
 )
-from irisjax.render.camera import Camera
+from irisjax.render.camera import AnySize, Camera
 from irisjax.render.lids import LidPixels, lash_coverage, meet_lids, meniscus_normal, trace_lids
 from irisjax.render.refraction import cornea_point, refract_to_iris
 from irisjax.render.surfaces import CorneaSurface, GlobeSurface, IrisSurface
@@ -36,6 +36,7 @@ IRIS, SCLERA, MIRROR, LIDS = 1, 2, 4, 8
 # `project_visible` pads the pixels of a part to a multiple of this number or, if it is larger, of
 # about a sixteenth to an eighth of them.
 _PAD = 2048
+_MANY = 1 << 18  # pixels from which on a picture drawn once pads by a quarter and not a factor
 
 
 class IrisPixels(eqx.Module):
@@ -164,29 +165,49 @@ def project(eye: Eye, camera: Camera) -> View:
     return _attenuate_by_lashes(View(*shown, size=(columns, rows), lids=lids), eye, camera)
 
 
-def project_visible(eye: Eye, camera: Camera) -> View:
+def project_visible(eye: Eye, camera: Camera, *, once: bool = False) -> View:
     """Compute `project` with only those pixels of each part that see it, padded.
 
     It is faster, but their number decides the shapes: it runs on the host, not under `jit`.
+
+    Args:
+        eye: The eye.
+        camera: The camera.
+        once: Whether the view serves for one picture or two. Numbers of pixels are then padded to
+            powers of four, those of bands to powers of two and large ones by less, and their
+            programs do not depend on the picture's size: most pictures share them, and to compile
+            takes longer than to draw the padding.
     """
     rows, columns = camera.shape
-    count = rows * columns
+    count, is_band = rows * columns, camera.rows is not None
     all_pixels = np.arange(count, dtype=np.int32)
-    visible = np.asarray(visible_parts(jnp.asarray(all_pixels), eye, camera))
+
+    def padded_length(length: int) -> int:
+        bits = max(length - 1, _PAD).bit_length()
+        if once and (is_band or length <= _MANY):
+            return 1 << (bits if is_band else bits + bits % 2)
+        if once:
+            return -(-length >> (bits - 3)) << (bits - 3)
+        block = max(_PAD, 1 << max(length.bit_length() - 4, 0)) if count >= _PAD else count
+        return -(-length // block) * block
+
+    padding = 0, (padded_length(count) if once else count) - count
+    rays = AnySize.of(camera) if once else camera
+    seen = visible_parts(jnp.asarray(np.pad(all_pixels, padding, mode="edge")), eye, rays)
+    visible = np.asarray(seen)[:count]
 
     def select(part: int, trace: Callable[..., Any]) -> Any:
         index = np.flatnonzero(visible & part)
         if not index.size:
             return None
-        if index.size == count and camera.rows is None:
+        if index.size == count and not is_band and not once:
             return dataclasses.replace(trace(all_pixels, eye, camera), index=None)
         # Padding to few different lengths saves compilations, for which a camera that turns would
         # wait. A band of a picture may see anything from no iris to iris alone: all bands are
         # padded to one length.
-        length = count if camera.rows is not None else index.size
-        block = max(_PAD, 1 << max(length.bit_length() - 4, 0)) if count >= _PAD else count
-        padding = 0, -(-length // block) * block - index.size
-        traced = trace(np.pad(index.astype(np.int32), padding, mode="edge"), eye, camera)
+        length = count if is_band else index.size
+        padding = 0, padded_length(length) - index.size
+        traced = trace(np.pad(index.astype(np.int32), padding, mode="edge"), eye, rays)
         numbers = np.pad(index.astype(np.int32), padding, constant_values=-1)
         return dataclasses.replace(traced, index=jnp.asarray(numbers))
 
@@ -219,7 +240,7 @@ def _attenuate(part: Any, factor: Float[Array, " pixels"]) -> Any:
 
 
 @pixelwise
-def visible_parts(index: Array, eye: Eye, camera: Camera) -> Int8[Array, " pixels"]:
+def visible_parts(index: Array, eye: Eye, camera: Camera | AnySize) -> Int8[Array, " pixels"]:
     """Find what each pixel sees: a sum of `IRIS`, `SCLERA` and `MIRROR`, or `LIDS`."""
     origin, direction = camera.rays(index, eye)
     if eye.cornea is None:
@@ -234,7 +255,7 @@ def visible_parts(index: Array, eye: Eye, camera: Camera) -> Int8[Array, " pixel
 
 
 @pixelwise
-def trace_iris(index: Array, eye: Eye, camera: Camera) -> IrisPixels:
+def trace_iris(index: Array, eye: Eye, camera: Camera | AnySize) -> IrisPixels:
     """Trace pixels of these numbers to the iris; those that do not see it get a share of 0."""
     origin, direction = camera.rays(index, eye)
     # Pixels without iris get a line of sight to a point away from all edges, where derivatives are
@@ -262,7 +283,7 @@ def trace_iris(index: Array, eye: Eye, camera: Camera) -> IrisPixels:
 
 
 @pixelwise
-def trace_sclera(index: Array, eye: Eye, camera: Camera) -> ScleraPixels:
+def trace_sclera(index: Array, eye: Eye, camera: Camera | AnySize) -> ScleraPixels:
     """Trace pixels of these numbers to the sclera."""
     surface, _, reflectance = _tear_film(index, eye, camera)
     share = jnp.where(surface.hit, surface.blend, 0.0)
@@ -273,7 +294,7 @@ def trace_sclera(index: Array, eye: Eye, camera: Camera) -> ScleraPixels:
 
 
 @pixelwise
-def trace_tear_film(index: Array, eye: Eye, camera: Camera) -> MirrorPixels:
+def trace_tear_film(index: Array, eye: Eye, camera: Camera | AnySize) -> MirrorPixels:
     """Trace pixels of these numbers to the tear film."""
     surface, direction, reflectance = _tear_film(index, eye, camera)
     mirror = parts(reflect_vector(direction, surface.normal))
@@ -294,7 +315,7 @@ def _limbal_ring_share(eye: Eye, radius):
     return 1 - ring.darkening * smoothstep((radius - darkest) / ring.fade + 1)
 
 
-def _tear_film(index, eye: Eye, camera: Camera):
+def _tear_film(index, eye: Eye, camera: Camera | AnySize):
     """Return where lines of sight meet the tear film, their directions, and its reflectance."""
     origin, direction = camera.rays(index, eye)
     surface = _OuterSurface.trace(eye, origin, direction)

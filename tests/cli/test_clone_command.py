@@ -238,8 +238,9 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
     dark = np.zeros((2, 2))
     windows, found = object.__new__(Windows), object.__new__(cloning.Sampled)
     white = WhiteSeen(np.full(3, 0.1), np.full(3, 0.5), np.ones(3), np.eye(3) / 0.2)
-    parts = {"colour": np.ones((4, 3)), "present": np.ones(4, bool), "white": white, "room": None}
-    for name, value in (parts | {"exposure": np.zeros(()), "at_least": np.array(True)}).items():
+    parts = {"colour": np.ones((4, 3)), "present": np.ones(4, bool), "white": white}
+    lit = {"in_room": np.zeros(()), "exposure": np.zeros(()), "at_least": np.array(True)}
+    for name, value in (parts | lit).items():
         object.__setattr__(windows, name, value)
     vars(found).update(
         photograph=SimpleNamespace(grey=True, shape=(900, 1200)),

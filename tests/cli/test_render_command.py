@@ -316,9 +316,9 @@ def test_a_camera_swings_from_the_right_to_the_left(irisjax, monkeypatch):
     """The frames are still pictures from where the cosine of the round puts it."""
     places = []
 
-    def project_and_note(eye, camera):
+    def project_and_note(eye, camera, **known):
         places.append(camera.position(eye))
-        return project_visible(eye, camera)
+        return project_visible(eye, camera, **known)
 
     monkeypatch.setattr("irisjax.cli.render.project_visible", project_and_note)
     given, frames = ("--exposure", 8, "-o"), ("--animate", "camera", "--frames", 4)

@@ -50,8 +50,9 @@ def formula_windows(z) -> FormulaWindows:
     bare = FormulaWindows(
         colour=np.ones((COUNT, 3)),
         present=np.ones(COUNT, bool),
-        matrix=jnp.zeros((2, COUNT, 1, 1)),
-        room=None,
+        matrix=jnp.zeros((2, COUNT, 3, 1)),
+        room=jnp.zeros((2, COUNT, 1, 1)),
+        in_room=np.zeros(()),
         veil=np.zeros(COUNT),
         mirrored=np.zeros((COUNT, 3)),
         bands=colour_bands("D65", cornea=eye.cornea),

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from window_scenes import BASE, CAMERA, EYE, LIGHTS, POSE, QUICK, SHAPE, maps, picture_of, view
+from window_scenes import BASE, CAMERA, EYE, LIGHTS, QUICK, SHAPE, maps, picture_of, view
 
 from irisjax.anatomy.eye import Eye
 from irisjax.photo.clone import SEARCHED, usual_iris
@@ -42,7 +42,7 @@ from irisjax.render.shading import scale_ranges
 OTHER = BASE.replace(
     eumelanin=jnp.asarray(1.0), pheomelanin=jnp.asarray(0.3), abl_fraction=jnp.asarray(0.7)
 )
-alone = functools.cache(lambda: iris_alone(POSE))
+alone = functools.cache(lambda: iris_alone(view()))
 
 
 def chosen(picture, clear=True, **known):
@@ -64,7 +64,8 @@ def _means_are_the_renderers(found, rtol):
 def bare():
     """An eye without a cornea, whose tables take seconds; what the camera sees of it."""
     eye = EYE.replace(cornea=None)
-    return eye, project_visible(eye, CAMERA), iris_alone(POSE._replace(eye=eye))
+    view = project_visible(eye, CAMERA)
+    return eye, view, iris_alone(view)
 
 
 def test_the_iris_alone_is_a_disc_within_the_limbus(bare):
@@ -95,6 +96,17 @@ def lit(bare, drawn):
 def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels(lit):
     _means_are_the_renderers(lit, 1e-6)
     assert len(lit.colour) == ANGLES * RINGS
+
+
+def test_photographs_by_any_light_share_the_programs_of_their_search(bare, drawn, lit):
+    pixels = choose_pixels(drawn[1], bare[2], bare[1], bare[0])
+    alone = make_windows(pixels, bare[0], BASE, maps(), LIGHTS, QUICK, None)
+    traced = []
+    radiance = eqx.filter_jit(lambda w, room: traced.append(1) or w.radiance(OTHER, room))
+    dark, same = (radiance(alone, jnp.asarray(room)) for room in (0.0, 0.4))
+    np.testing.assert_array_equal(dark, same)  # there is no room
+    assert (radiance(lit, jnp.asarray(0.4)) > radiance(lit, jnp.asarray(0.0))).all()
+    assert len(traced) == 1
 
 
 def test_thickness_brightens_and_freckles_darken(lit):
@@ -162,8 +174,8 @@ def test_features_of_an_average_iris_have_no_place():
     """
     # Windows hold as many pixels here as those that are taken of a photograph.
     camera = dataclasses.replace(CAMERA, size=(150, 150))
-    clear, view = iris_alone(POSE._replace(camera=camera)), project_visible(EYE, camera)
-    pixels = choose_pixels(np.ones((150, 150, 3)), clear, view, EYE)
+    view = project_visible(EYE, camera)
+    pixels = choose_pixels(np.ones((150, 150, 3)), iris_alone(view), view, EYE)
     seen = jax.tree.map(lambda x: jnp.repeat(x, TURNS, -1), pixels.seen)
     every = pixels._replace(seen=seen, window=np.repeat(pixels.window, TURNS))
     usual = average_maps(EYE)

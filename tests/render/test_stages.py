@@ -14,6 +14,7 @@ from irisjax.anatomy.sclera import VeinMap
 from irisjax.numerics.chunks import map_chunks, pixelwise
 from irisjax.render import outside, shading
 from irisjax.render.bands import colour_bands
+from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
@@ -103,6 +104,23 @@ def test_absent_parts_cost_nothing(tables):
     assert (
         project_visible(BARE, SMALL).mirror is None and project_visible(CLOSE, SMALL).sclera is None
     )
+
+
+def test_pictures_drawn_once_share_programs(monkeypatch):
+    """Of any size and from anywhere, and what their pixels see is the same."""
+    traced, rays = [], Camera.rays
+    monkeypatch.setattr(Camera, "rays", lambda *given: traced.append(1) or rays(*given))
+    cameras = Camera(width=12.0, size=(60, 50)), Camera(0.3, 1.0, width=11.0, size=(70, 40))
+    second = [project_visible(CLOSE, camera, once=True) for camera in cameras][1]
+    count = len(traced)
+    project_visible(CLOSE, Camera(0.1, size=(41, 63)), once=True)
+    assert len(traced) == count
+    expected = project_visible(CLOSE, cameras[1])
+    for name in ("iris", "mirror"):
+        found, same = (getattr(view, name) for view in (second, expected))
+        for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(same), strict=True):
+            seen = np.asarray(found.index) >= 0
+            np.testing.assert_allclose(one[seen], other[np.asarray(same.index) >= 0], atol=1e-6)
 
 
 @pytest.mark.parametrize(
