@@ -131,7 +131,7 @@ def parser(arguments: list[str]) -> Any:
             raise ModuleNotFoundError(package, name=package)
     for name, (module, *_) in _COMMANDS.items():
         # Commands of one module take each other's files by `--from`, so all of them are needed.
-        if asked in (None, module):
+        if arguments[0] != "--version" and asked in (None, module):
             try:
                 imported = importlib.import_module(f"irisjax.cli.{module}")
             except ModuleNotFoundError as error:

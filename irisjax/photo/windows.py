@@ -216,18 +216,15 @@ def make_windows(
     # Neighbours in a window have different turns.
     turn = 2 * np.pi / turns * (np.arange(len(window)) % turns)
     pixels = dataclasses.replace(pixels, turn=jnp.asarray(turn))
-    # As many lights as of a room: their number is part of a program that compiles for seconds.
-    missing = np.zeros(-len(lights) % ENVIRONMENT_LIGHTS)
-    dark = Lights.distant(missing, 0.0, 0.0, illuminant=lights.illuminant)
-
-    def matrix_of(lights: Lights):
-        matrix = _matrix(pixels, window, lights, *arguments)
-        return jnp.broadcast_to(matrix, (*matrix.shape[:2], 3, matrix.shape[3]))
-
-    matrix = matrix_of(lights + dark)
+    # As many lights as of a room, with tints as these have: one program serves all lights.
+    missing = -len(lights) % ENVIRONMENT_LIGHTS
+    ahead, none = np.tile([0.0, 0.0, -1.0], (missing, 1)), np.zeros(missing)
+    dark = Lights(ahead, none, np.ones((missing, 3)), illuminant=lights.illuminant)
+    matrix = _matrix(pixels, window, lights + dark, *arguments)
     of_room = jnp.zeros_like(matrix)
     if room:
-        of_room = matrix_of(Environment.uniform().to_lights(ENVIRONMENT_LIGHTS))
+        uniform = Environment.uniform().to_lights(ENVIRONMENT_LIGHTS)
+        of_room = _matrix(pixels, window, uniform, *arguments)
     rooms = of_room, np.asarray(float(room))
     index = jnp.asarray(eye.aqueous_index)
     return Windows(*chosen[2:], matrix, *rooms, bands, ranges, prepared, index)
