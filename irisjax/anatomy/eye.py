@@ -30,6 +30,7 @@ EYE_LIMITS = {
     "darkening": Range(0, 1),
     "width": Range(0, 2, "mm"),
     "fade": Range(0.005, 2, "mm"),
+    "unevenness": Range(0, 1),
     "iris_radius": Range(4, 7, "mm"),
     "pupil_radius": Range(0.25, 4.75, "mm"),
     "pupil_margin": Range(0.005, 1.2, "mm"),
@@ -117,11 +118,14 @@ class LimbalRing(eqx.Module):
         darkening: Share of the light that the ring takes.
         width: Width over which it is darkest, inside the blend of iris and white, mm.
         fade: Width over which it fades towards the pupil, mm.
+        unevenness: Share of both widths by which they differ round the eye at most, in waves that
+            are the same for all eyes.
     """
 
     darkening: Scalar = float_field(0.6)
     width: Scalar = float_field(0.1)
     fade: Scalar = float_field(0.6)
+    unevenness: Scalar = float_field(0.8)
 
     def __check_init__(self) -> None:
         check_fields(self, EYE_LIMITS)

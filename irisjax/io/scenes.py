@@ -320,7 +320,12 @@ LIMBUS_WIDTH = 0.5
 """Width of the blend of iris and white where maps are grown, mm: narrower than F09's."""
 SIDES = {"left": -1, "right": 1}
 """Sides of the nose in the picture, as signs of x."""
-LIMBAL_RING = {"limbal_ring": "darkening", "limbal_ring_width": "width", "limbal_ring_fade": "fade"}
+LIMBAL_RING = {
+    "limbal_ring": "darkening",
+    "limbal_ring_width": "width",
+    "limbal_ring_fade": "fade",
+    "limbal_ring_unevenness": "unevenness",
+}
 """Entries of `[eye]` that are fields of its `LimbalRing`."""
 # Entries of `[eye]` that are fields of its `Sclera`.
 _WHITE = {"yellowing": "yellowing", "white_tint": "tint", "white_gloss": "gloss"}

@@ -3,6 +3,7 @@ the pixel.
 """
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -275,7 +276,7 @@ def trace_iris(index: Array, eye: Eye, camera: Camera | AnySize) -> IrisPixels:
         )
         direction = choose(surface.iris, direction, ahead)
         point, direction, transmitted = refract_to_iris(eye, front, direction)
-        iris_share = (1 - surface.blend) * _limbal_ring_share(eye, from_axis(front))
+        iris_share = (1 - surface.blend) * _limbal_ring_share(eye, front)
         share = transmitted * jnp.where(surface.iris, iris_share, 0.0) / eye.aqueous_index**2
     cosine = -dot(direction, eye.iris_normal(point))
     share = jnp.where(cosine > 0, share, 0.0)
@@ -304,15 +305,38 @@ def trace_tear_film(index: Array, eye: Eye, camera: Camera | AnySize) -> MirrorP
     return MirrorPixels(index, parts(surface.point), mirror, share)
 
 
-def _limbal_ring_share(eye: Eye, radius):
-    """Compute the share of the iris's light that the limbal ring transmits, at distances from the
-    axis in mm.
+def _limbal_ring_share(eye: Eye, front: Vector):
+    """Compute the share of the iris's light that the limbal ring transmits, at points of the
+    cornea.
     """
     ring = eye.limbal_ring
     if ring is None:
         return 1.0
-    darkest = eye.limbus_radius - eye.limbus_width / 2 - ring.width
-    return 1 - ring.darkening * smoothstep((radius - darkest) / ring.fade + 1)
+    radius = from_axis(front)
+    x, y, _ = parts(front)
+    scale = 1 + ring.unevenness * _waves(x, y, radius)
+    darkest = eye.limbus_radius - eye.limbus_width / 2 - ring.width * scale
+    return 1 - ring.darkening * smoothstep((radius - darkest) / (ring.fade * scale) + 1)
+
+
+def _waves(x, y, radius):
+    """A sum of waves round the axis, between −1 and 1 and 0 on average.
+
+    Their numbers are Fibonacci's, so that each follows from the two before by a product of complex
+    numbers, and their heights fall with the root of these.
+    """
+    inverse = 1 / jnp.where(radius > 0, radius, 1.0)
+    one = x * inverse, y * inverse
+    before, now, number = (1.0, 0.0), one, (0, 1)
+    total, most = 0.0, 0.0
+    for k in range(7):
+        (a, b), (c, d) = before, now
+        before, now = now, (a * c - b * d, a * d + b * c)
+        number = number[1], sum(number)
+        height = number[1] ** -0.5
+        total += height * (now[0] * math.cos(k * k) - now[1] * math.sin(k * k))
+        most += height
+    return total / most
 
 
 def _tear_film(index, eye: Eye, camera: Camera | AnySize):

@@ -113,9 +113,28 @@ def test_limbal_ring_darkens_the_iris_inside_its_blend_with_the_white():
         return trace_iris(pixels, Eye(limbus_width=0.5, limbal_ring=ring), camera).share
 
     def of(darkening):
-        return share(LimbalRing(darkening=darkening, width=0.5, fade=0.5))
+        return share(LimbalRing(darkening=darkening, width=0.5, fade=0.5, unevenness=0.0))
 
     left, slope = jax.jvp(of, (jnp.asarray(0.6),), (jnp.asarray(1.0),))
     plain = np.asarray(share(None))
     np.testing.assert_allclose(left / plain, [1, 1, 0.7, 0.4, 0.4], atol=0.02)
     np.testing.assert_allclose(slope / plain, [0, 0, -0.5, -1, -1], atol=0.035)
+
+
+def test_an_uneven_limbal_ring_is_wide_and_narrow_round_the_eye_and_usual_on_average():
+    camera = Camera(size=(90, 90), width=12.0, distance=1e5)
+    row, column = np.indices((90, 90)).reshape(2, -1) - 44.5
+    away = np.hypot(row, column) * 12 / 90
+    pixels = np.flatnonzero((away > 4.4) & (away < 4.6))  # in the fade, half dark if it is even
+    pixels = pixels.astype(np.int32)
+
+    def share(unevenness):
+        ring = LimbalRing(darkening=0.6, width=0.5, fade=0.5, unevenness=unevenness)
+        return trace_iris(pixels, Eye(limbus_width=0.5, limbal_ring=ring), camera).share
+
+    even, uneven = share(0.0), share(0.8)
+    ratio = uneven / even
+    assert ratio.min() < 0.8 and ratio.max() > 1.2
+    assert abs(float(ratio.mean()) - 1) < 0.03
+    nearest = np.argsort(np.arctan2(row[pixels], column[pixels]))
+    assert np.abs(np.diff(np.asarray(ratio)[nearest])).max() < 0.5  # waves, not noise
