@@ -26,7 +26,14 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractResponse, solve_response
 from irisjax.render.lids import LASH, frontal_irradiance, lid_base_colour, lid_colours, lid_radiance
 from irisjax.render.outside import ColourTable, colour_table
-from irisjax.render.project import IrisPixels, View, project, project_visible, scatter_to_picture
+from irisjax.render.project import (
+    LEAST_PADDED,
+    IrisPixels,
+    View,
+    project,
+    project_visible,
+    scatter_to_picture,
+)
 from irisjax.render.scene import Scene
 from irisjax.render.shading import Facing, IrisModel, sample_textures, scale_ranges
 from irisjax.tissue.maps import Scales
@@ -265,10 +272,10 @@ def draw_bands(
     tables = scene.tables() if tables is None else tables
     width, height = scene.camera.size
     channels = 3 if scene.wavelengths is None else len(scene.wavelengths)
-    # A power of two, as many as the parts of bands are padded to.
-    max_pixels = 1 << (memory // (_PIXEL_BYTES + _CHANNEL_BYTES * channels)).bit_length() - 1
-    most_rows = max(max_pixels // (width * samples**2), 1)
-    count = -(-height // most_rows)
+    max_pixels = memory // (_PIXEL_BYTES + _CHANNEL_BYTES * channels)
+    if max_pixels >= LEAST_PADDED:  # to as many are the parts of bands padded
+        max_pixels = 1 << (max_pixels.bit_length() - 1)
+    count = -(-height // max(max_pixels // (width * samples**2), 1))
     rows = -(-height // count)
     response = respond(scene)
     for start in range(0, height, rows):

@@ -37,6 +37,8 @@ IRIS, SCLERA, MIRROR, LIDS = 1, 2, 4, 8
 # `project_visible` pads the pixels of a part to a multiple of this number or, if it is larger, of
 # about a sixteenth to an eighth of them.
 _PAD = 2048
+LEAST_PADDED = 1 << 12
+"""Least number of pixels that those of a picture drawn once are padded to."""
 _MANY = 1 << 18  # pixels from which on a picture drawn once pads by a quarter and not a factor
 
 
@@ -184,7 +186,7 @@ def project_visible(eye: Eye, camera: Camera, *, once: bool = False) -> View:
     all_pixels = np.arange(count, dtype=np.int32)
 
     def padded_length(length: int) -> int:
-        bits = max(length - 1, _PAD).bit_length()
+        bits = max(length - 1, LEAST_PADDED - 1).bit_length()
         if once and (is_band or length <= _MANY):
             return 1 << (bits if is_band else bits + bits % 2)
         if once:
