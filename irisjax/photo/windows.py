@@ -216,7 +216,7 @@ def make_windows(
     # Neighbours in a window have different turns.
     turn = 2 * np.pi / turns * (np.arange(len(window)) % turns)
     pixels = dataclasses.replace(pixels, turn=jnp.asarray(turn))
-    # As many lights as of a room, with tints as these have: one program serves all lights.
+    # Lights are filled up to the number of a room's, and tinted as these: one program serves all.
     missing = -len(lights) % ENVIRONMENT_LIGHTS
     ahead, none = np.tile([0.0, 0.0, -1.0], (missing, 1)), np.zeros(missing)
     dark = Lights(ahead, none, np.ones((missing, 3)), illuminant=lights.illuminant)
@@ -280,10 +280,11 @@ def iris_alone(view: View) -> Mask:
     """
 
     def seen(part: VisiblePart | None) -> Mask:
-        numbers = np.zeros(0, int) if part is None else pixel_numbers(part)
-        return np.isin(np.arange(columns * rows), numbers).reshape(rows, columns)
+        if part is None:
+            return np.zeros(shape, bool)
+        return scatter_to_picture(part, np.ones(len(pixel_numbers(part)), bool), shape)
 
-    columns, rows = view.size
+    shape = view.size[::-1]
     return seen(view.iris) & ~seen(view.sclera)
 
 

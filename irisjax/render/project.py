@@ -39,7 +39,7 @@ IRIS, SCLERA, MIRROR, LIDS = 1, 2, 4, 8
 _PAD = 2048
 LEAST_PADDED = 1 << 12
 """Least number of pixels that those of a picture drawn once are padded to."""
-_MANY = 1 << 18  # pixels from which on a picture drawn once pads by a quarter and not a factor
+_MANY = 1 << 18  # pixels beyond which those of a picture drawn once are padded by less
 
 
 class IrisPixels(eqx.Module):
@@ -177,22 +177,22 @@ def project_visible(eye: Eye, camera: Camera, *, once: bool = False) -> View:
         eye: The eye.
         camera: The camera.
         once: Whether the view serves for one picture or two. Numbers of pixels are then padded to
-            powers of four, those of bands to powers of two and large ones by less, and their
-            programs do not depend on the picture's size: most pictures share them, and to compile
-            takes longer than to draw the padding.
+            powers of four, at most to the power of two that the picture has room in, and large ones
+            by less; and its programs do not depend on the picture's size. Most pictures share them,
+            and to compile takes longer than to draw the padding.
     """
     rows, columns = camera.shape
     count, is_band = rows * columns, camera.rows is not None
     all_pixels = np.arange(count, dtype=np.int32)
 
     def padded_length(length: int) -> int:
-        bits = max(length - 1, LEAST_PADDED - 1).bit_length()
-        if once and (is_band or length <= _MANY):
-            return 1 << (bits if is_band else bits + bits % 2)
-        if once:
+        if not once:
+            block = max(_PAD, 1 << max(length.bit_length() - 4, 0)) if count >= _PAD else count
+            return -(-length // block) * block
+        bits, most = ((max(n, LEAST_PADDED) - 1).bit_length() for n in (length, count))
+        if length > _MANY:  # by a quarter at most
             return -(-length >> (bits - 3)) << (bits - 3)
-        block = max(_PAD, 1 << max(length.bit_length() - 4, 0)) if count >= _PAD else count
-        return -(-length // block) * block
+        return 1 << min(bits + bits % 2, most)
 
     padding = 0, (padded_length(count) if once else count) - count
     rays = AnySize.of(camera) if once else camera
@@ -322,14 +322,14 @@ def _limbal_ring_share(eye: Eye, front: Vector):
 
 
 def _waves(x, y, radius):
-    """A sum of waves round the axis, between −1 and 1 and 0 on average.
+    """Compute a sum of waves round the axis, between −1 and 1 and 0 on average.
 
-    Their numbers are Fibonacci's, so that each follows from the two before by a product of complex
-    numbers, and their heights fall with the root of these.
+    The waves go round 1, 2, 3, 5, 8, 13 and 21 times: each of these Fibonacci numbers is the sum of
+    the two before, so that a product of complex numbers replaces a cosine. Their heights fall with
+    the root of the number.
     """
     inverse = 1 / jnp.where(radius > 0, radius, 1.0)
-    one = x * inverse, y * inverse
-    before, now, number = (1.0, 0.0), one, (0, 1)
+    before, now, number = (1.0, 0.0), (x * inverse, y * inverse), (0, 1)
     total, most = 0.0, 0.0
     for k in range(7):
         (a, b), (c, d) = before, now

@@ -51,7 +51,7 @@ def formula_windows(z) -> FormulaWindows:
         colour=np.ones((COUNT, 3)),
         present=np.ones(COUNT, bool),
         matrix=jnp.zeros((2, COUNT, 3, 1)),
-        room=jnp.zeros((2, COUNT, 1, 1)),
+        room=jnp.zeros((2, COUNT, 3, 1)),
         in_room=np.zeros(()),
         veil=np.zeros(COUNT),
         mirrored=np.zeros((COUNT, 3)),

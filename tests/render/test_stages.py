@@ -107,7 +107,7 @@ def test_absent_parts_cost_nothing(tables):
 
 
 def test_pictures_drawn_once_share_programs(monkeypatch):
-    """Of any size and from anywhere, and what their pixels see is the same."""
+    """Pictures of any size and from anywhere do, and their pixels see what they see otherwise."""
     traced, rays = [], Camera.rays
     monkeypatch.setattr(Camera, "rays", lambda *given: traced.append(1) or rays(*given))
     cameras = Camera(width=12.0, size=(60, 50)), Camera(0.3, 1.0, width=11.0, size=(70, 40))
