@@ -284,7 +284,8 @@ def iris_alone(view: View) -> Mask:
             return np.zeros(shape, bool)
         return scatter_to_picture(part, np.ones(len(pixel_numbers(part)), bool), shape)
 
-    shape = view.size[::-1]
+    columns, rows = view.size
+    shape = rows, columns
     return seen(view.iris) & ~seen(view.sclera)
 
 
