@@ -173,8 +173,9 @@ def _image_over_iris(
     bare = inside & ~image & (radius < _CORNEA_RADIUS)  # all darker than the glow
     if not bare.any():
         return part
-    known = np.unique(ring[bare])
-    medians = [ndimage.median(part[..., c], np.where(bare, ring, -1), known) for c in range(3)]
+    bare_ring, channels = ring[bare], np.moveaxis(part[bare], -1, 0)
+    known = np.unique(bare_ring)
+    medians = [ndimage.median(channel, bare_ring, known) for channel in channels]
     usual = np.stack([np.interp(np.arange(_RINGS), known, m) for m in medians], -1)[ring]
     usual[~inside] = 0
     brightest = np.quantile(part[bare].max(-1), _BRIGHT_IRIS)
