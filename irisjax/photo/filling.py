@@ -9,7 +9,8 @@ from irisjax.photo.texture import fill_holes
 
 _TURNS = 48  # places round the iris from which a hidden region may be filled
 _BORDER = 6  # cells about a region in which the places are compared
-_FADES = 0.04  # depth under a lid at which differences are a third, of the iris's width
+_CONTINUED = 4  # cells whose mean is continued
+_FADES = 0.08  # depth under a lid at which differences are a third, of the iris's width
 
 
 def fill_by_texture(
@@ -17,13 +18,15 @@ def fill_by_texture(
 ) -> Float[np.ndarray, "layers angles radii"]:
     """Fill hidden cells of polar maps; the others stay exact.
 
-    Each region is filled from where the iris, turned by some angle, is seen and differs least along
-    the region's border. What still differs there is spread smoothly over a region with a border all
-    round. Under a lid, whose shade alone may be the difference, it fades away from the border.
+    The edges, where pupil or white show through all round, continue the cells next to them. Each
+    other region is filled from where the iris, turned by some angle, is seen and differs least
+    along the region's border. What still differs there is spread smoothly over a region with a
+    border all round. Under a lid, whose shade alone may be the difference, it fades away from the
+    border.
     """
     if not hidden.any() or hidden.all():
         return layers
-    cells = np.moveaxis(layers, 0, -1)
+    cells, hidden = _continue_edges(np.moveaxis(layers, 0, -1), hidden)
     smooth = fill_holes(cells, hidden)
     scale = np.maximum(cells[~hidden].std(0), 1e-6)
     filled, turns = smooth.copy(), [i * len(hidden) // _TURNS for i in range(1, _TURNS)]
@@ -46,10 +49,31 @@ def fill_by_texture(
             difference = fill_holes(smooth[box] - turned, region)
             if region[:, columns == hidden.shape[1] - 1].any():  # to the root: under a lid
                 depth = ndimage.distance_transform_edt(region) / hidden.shape[1]
-                difference = difference * np.exp(-depth / _FADES)[..., None]
+                difference = difference * np.exp(-((depth / _FADES) ** 2))[..., None]
             turned = turned + difference
         filled[box] = np.where(region[..., None], turned, filled[box])
     return np.moveaxis(filled, -1, 0)
+
+
+def _continue_edges(
+    cells: Float[np.ndarray, "angles radii layers"], hidden: Bool[np.ndarray, "angles radii"]
+):
+    """Continue the first and the last cells that are seen at each angle to the pupil and the root,
+    but for angles at which more than twice as much is hidden there as at most others, as by a lid.
+
+    Returns:
+        The cells, and those that are still hidden.
+    """
+    cells, still, seen = cells.copy(), hidden.copy(), ~hidden.all(1)
+    for way in (1, -1):  # from the pupil, from the root
+        values, shown, left = cells[:, ::way], ~hidden[:, ::way], still[:, ::way]
+        depth = np.argmax(shown, axis=1)
+        widest = 2 * np.quantile(depth[seen], 0.25)
+        for a in np.flatnonzero(seen & (depth > 0) & (depth <= widest)):
+            next_to = slice(depth[a], depth[a] + _CONTINUED)
+            values[a, : depth[a]] = values[a, next_to][shown[a, next_to]].mean(0)
+            left[a, : depth[a]] = False
+    return cells, still
 
 
 def _regions(hidden: Bool[np.ndarray, "angles radii"]):

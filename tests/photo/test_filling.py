@@ -45,6 +45,27 @@ def test_the_shade_beside_a_lid_does_not_reach_far_under_it():
     assert filled[46:94, 20].mean() < -1.5  # its edge is no seam
 
 
+def test_the_dark_rim_goes_on_where_the_white_shines_through_it():
+    """The white hides the last cells all round, a lid the outer half of a quarter of the iris."""
+    layers = np.random.default_rng(3).normal(size=(1, ANGLES, RADII))
+    layers[0, :, 30:] -= 6 * np.linspace(0.2, 1, RADII - 30)
+    hidden = np.zeros((ANGLES, RADII), bool)
+    hidden[:, 36:] = hidden[20:68, 20:] = True
+    filled = fill_by_texture(np.where(hidden, 9.0, layers), hidden)[0]
+    assert filled[:, 36:].max() < -1.5
+    assert filled[26:62, 24:30].mean() == pytest.approx(0, abs=0.3)
+
+
+def test_a_lid_over_an_iris_whose_edges_are_hidden_leaves_no_seam():
+    """Pupil and white hide both edges all round: with the lid's they are one region, a ring."""
+    layers = 5 * np.sin(ANGLE + 0 * RADIUS)[None]
+    hidden = np.zeros((ANGLES, RADII), bool)
+    hidden[:, :2] = hidden[:, 36:] = hidden[20:68, 20:] = True
+    filled = fill_by_texture(np.where(hidden, 9.0, layers), hidden)[0]
+    steps = np.diff(filled, axis=0, append=filled[:1])
+    assert np.abs(steps).max() < 2.5  # half of what turned places may differ by, within 3 cells
+
+
 def test_nothing_hidden_changes_nothing():
     layers = np.ones((2, 8, 4))
     assert fill_by_texture(layers, np.zeros((8, 4), bool)) is layers
