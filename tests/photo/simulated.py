@@ -1,5 +1,6 @@
 """Simulated photographs with lids, lashes, a highlight and noise, and their true outlines."""
 
+import functools
 import json
 from pathlib import Path
 from typing import NamedTuple
@@ -31,16 +32,30 @@ def as_photograph(pixels, name="made.png") -> Photograph:
     return Photograph(pixels.astype(float), (pixels > 0.99).any(-1), name=name)
 
 
+def truths(folder: Path) -> list[dict]:
+    """The numbers that the photographs of a folder were made with."""
+    return json.loads((folder / "truth.json").read_text(encoding="utf-8"))["photographs"]
+
+
+def outline(truth: dict, name: str, scale=1.0) -> Ellipse:
+    of = truth[name]
+    return Ellipse(tuple(of["centre_px"]), tuple(of["semi_axes_px"]), of["angle"]).scaled(scale)
+
+
+def reduced(path: Path, scale: float) -> Photograph:
+    photo = read_photograph(path)
+    cut_off = reduce_picture(photo.saturated[..., None].astype(float), scale)[..., 0] > 0
+    focal = photo.focal_px and scale * photo.focal_px
+    pixels = reduce_picture(photo.pixels, scale)
+    return photo._replace(pixels=pixels, saturated=cut_off, focal_px=focal)
+
+
+@functools.cache
 def photographed(name: str, scale: float) -> Simulated:
     """A simulated photograph of the project without lids, reduced."""
-    pixels = reduce_picture(read_photograph(FOLDER / name).pixels, scale).astype(float)
-    entries = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
-    truth = next(entry for entry in entries if entry["file"] == name)
-    outlines = (
-        Ellipse(tuple(e["centre_px"]), tuple(e["semi_axes_px"]), e["angle"]).scaled(scale)
-        for e in (truth["limbus"], truth["pupil"])
-    )
-    return Simulated(pixels, *outlines)
+    truth = next(truth for truth in truths(FOLDER) if truth["file"] == name)
+    pixels = reduced(FOLDER / name, scale).pixels.astype(float)
+    return Simulated(pixels, *(outline(truth, n, scale) for n in ("limbus", "pupil")))
 
 
 def with_lids(eye: Simulated, upper=0.62, lower=0.8) -> Simulated:

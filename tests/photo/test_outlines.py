@@ -8,12 +8,7 @@ from scipy import ndimage
 
 from irisjax.photo import outlines
 from irisjax.photo.edges import FittedEllipse
-from irisjax.photo.outlines import (
-    MIN_CONFIDENCE,
-    Boundaries,
-    find_boundaries,
-    refine_pupil,
-)
+from irisjax.photo.outlines import MIN_CONFIDENCE, Boundaries, find_boundaries, refine_pupil
 from irisjax.photo.photograph import Ellipse
 from photo.simulated import (
     SKIN,
@@ -63,9 +58,9 @@ def errors(found: Ellipse, true: Ellipse) -> np.ndarray:
     return np.array([np.hypot(*off[0]), *abs(off[1])]) / np.sqrt(np.prod(true.semi_axes))
 
 
-def check(eye: Simulated, within: float):
+def check(eye: Simulated, photo=None, within=0.02, **given):
     """Within a share of the radius, or half a pixel."""
-    found = find_boundaries(eye.photograph())
+    found = find_boundaries(photo or eye.photograph(), **given)
     for outline, true in zip(found[:2], eye[1:], strict=True):
         assert errors(outline, true).max() < max(within, 0.5 / true.semi_axes[1])
     assert found.limbus_confidence > MIN_CONFIDENCE
@@ -73,35 +68,99 @@ def check(eye: Simulated, within: float):
     return found
 
 
-@pytest.fixture(scope="module")
-def green():
-    """A simulated eye that looks aside."""
+def aside() -> Simulated:
+    """An eye that looks aside by 30 degrees."""
     return exposed(photographed("green_tilted.jpg", 1 / 4))
 
 
-def test_a_grey_picture_has_the_same_outlines(green):
-    eye = with_noise(with_lashes(with_lids(green, 0.9, 0.9), upper=0.9))
+def between_lids(scale=1 / 8) -> Simulated:
+    """An eye between lids and lashes, seen from ahead, 62 pixels in radius."""
+    return photographed("blue_dirty.jpg", scale)
+
+
+def places(eye: Simulated):
+    """Places in radii of the limbus, to the right and down, and the distance from its middle."""
+    row, column = np.mgrid[: eye.pixels.shape[0], : eye.pixels.shape[1]]
+    (x, y), r = eye.limbus.centre, eye.limbus.mean_radius
+    return (column - x) / r, (row - y) / r, np.hypot(column - x, row - y) / r
+
+
+def unevenly_lit(eye: Simulated) -> Simulated:
+    """The white is burnt out on one side, and in shadow on the other."""
+    light = np.geomspace(3, 0.15, eye.pixels.shape[1])[None, :, None]
+    uneven = eye._replace(pixels=np.clip(eye.pixels * light, 0, 1))
+    return with_noise(with_highlight(uneven))
+
+
+def mirrored_window(eye: Simulated) -> Simulated:
+    """Burnt out, over the pupil's rim."""
+    u, v, _ = places(eye)
+    window = (abs(u) < 0.3) & (v > -0.62) & (v < -0.1)
+    return eye._replace(pixels=eye.pixels + 1.5 * window[..., None])
+
+
+def mirrored_sky(eye: Simulated) -> Simulated:
+    """Half as bright as the iris, over the upper half of the pupil but for a dark post."""
+    u, v, r = places(eye)
+    sky = (r < 0.8) & (abs(u) < 0.55) & (v < 0) & (v > -0.35) & ~((abs(u) < 0.1) & (v > -0.25))
+    sky = ndimage.gaussian_filter(sky.astype(float), 0.6)
+    return eye._replace(pixels=eye.pixels + sky[..., None] * [0.06, 0.10, 0.17])
+
+
+def soft_limbus(eye: Simulated) -> Simulated:
+    near = np.exp(-(((places(eye)[2] - 1) / 0.08) ** 2))[..., None]
+    smooth = ndimage.gaussian_filter(eye.pixels, (3, 3, 0))
+    return eye._replace(pixels=eye.pixels * (1 - near) + near * smooth)
+
+
+def yellow_ring(eye: Simulated) -> Simulated:
+    share = ((places(eye)[2] < 0.62)[..., None]) * np.array([1.2, 0.25, -0.65])
+    return eye._replace(pixels=eye.pixels * (1 + share))
+
+
+def ring_lamp(eye: Simulated) -> Simulated:
+    """Mirrored in the pupil, whose rim it is not."""
+    u, v, _ = places(eye)
+    ring = 1.5 * (abs(np.hypot(u - 0.05, v - 0.05) - 0.26) < 0.03)
+    return eye._replace(pixels=eye.pixels + ndimage.gaussian_filter(ring, 0.5)[..., None])
+
+
+def in_a_face(eye: Simulated, size=330) -> Simulated:
+    """A brow, and a socket in the shade, of which the eye is a small part."""
+    row, column = np.mgrid[:size, :size] - size // 2
+    socket = 1 / (1 + np.exp((np.hypot(column / 130, row / 115) - 1) / 0.06))
+    face = SKIN * (1 - 0.35 * socket)[..., None]
+    brow = (abs(row + 90 - (column / 110) ** 2 * 30) < 12) & (abs(column) < 95)
+    face = face * (1 - 0.8 * ndimage.gaussian_filter(brow.astype(float), 3))[..., None]
+    rows, columns = eye.pixels.shape[:2]
+    top, left = (size - rows) // 2, (size - columns) // 2
+    face[top : top + rows, left : left + columns] = eye.pixels
+    return Simulated(face, eye.limbus.moved(left, top), eye.pupil.moved(left, top))
+
+
+EYES = {
+    "beside the middle, narrow pupil": lambda: with_noise(drawn(middle=(95.0, 190.0), pupil=0.2)),
+    "large, tilted": lambda: with_noise(drawn((150, 200), (100.0, 75.0), 70.0, ratio=0.85)),
+    "unevenly lit": lambda: unevenly_lit(aside()),
+    "mirrored window": lambda: mirrored_window(between_lids()),
+    "mirrored sky": lambda: mirrored_sky(between_lids()),
+    "soft limbus": lambda: soft_limbus(between_lids()),
+    "yellow ring": lambda: yellow_ring(between_lids()),
+    "ring lamp": lambda: ring_lamp(photographed("brown_dirty.jpg", 1 / 8)),
+    "in a face": lambda: in_a_face(between_lids(1 / 14)),
+}
+
+
+@pytest.mark.parametrize("name", EYES)
+def test_outlines_are_found(name):
+    check(EYES[name]())
+
+
+def test_a_grey_picture_has_the_same_outlines():
+    eye = with_noise(with_lashes(with_lids(aside(), 0.9, 0.9), upper=0.9))
     photo = eye.photograph()
     grey = np.repeat(photo.pixels.mean(-1, keepdims=True), 3, -1)
-    found = find_boundaries(photo._replace(pixels=grey, grey=True))
-    assert errors(found.limbus, eye.limbus).max() < 0.02
-    assert errors(found.pupil, eye.pupil).max() < 0.02
-    assert found.limbus_confidence > MIN_CONFIDENCE
-
-
-def test_one_side_of_the_white_burnt_out_and_the_other_in_shadow(green):
-    light = np.geomspace(3, 0.15, green.pixels.shape[1])[None, :, None]
-    uneven = green._replace(pixels=np.clip(green.pixels * light, 0, 1))
-    check(with_noise(with_highlight(uneven)), 0.02)
-
-
-@pytest.mark.parametrize(
-    "eye",
-    [drawn(middle=(95.0, 190.0), pupil=0.2), drawn(radius=140.0, ratio=0.85)],
-    ids=["aside, narrow pupil", "large, tilted"],
-)
-def test_anywhere_and_of_any_size(eye):
-    check(with_noise(eye), 0.02)
+    check(eye, photo._replace(pixels=grey, grey=True))
 
 
 @pytest.mark.parametrize(
@@ -123,13 +182,16 @@ def test_the_pupil_ends_where_the_iris_begins(radius, dark):
 @pytest.mark.parametrize("width", [0.02, 0.18])
 def test_the_width_of_the_limbus_is_found(width):
     eye = with_noise(drawn((320, 400), (200.0, 160.0), 110.0, width=width))
-    found = find_boundaries(eye.photograph(), pupil=eye.pupil)
+    found = check(eye, within=0.01, pupil=eye.pupil)
     assert found.pupil == eye.pupil and found.pupil_confidence == 1
-    assert errors(found.limbus, eye.limbus).max() < 0.01
-    assert found.limbus_confidence > MIN_CONFIDENCE
     assert found.limbus_width is not None
     # Blur and a rise narrower than it look alike: within two pixels.
     assert abs(found.limbus_width - width) < max(0.1 * width, 2 / 110)
+
+
+def test_a_pupil_given_by_hand_does_not_make_the_limbus_worse():
+    eye = mirrored_sky(between_lids())
+    assert check(eye, pupil=eye.pupil).pupil == eye.pupil
 
 
 def test_an_outline_that_is_not_sure_is_used_and_doubted():
@@ -144,13 +206,6 @@ def test_both_outlines_given_are_kept():
     found = find_boundaries(as_photograph(black), *given)
     assert found[:2] == given
     assert found[2:6] == (1.0, 1.0, None, None)  # nothing to be seen of a margin
-
-
-def test_a_given_outline_outside_the_picture_is_refused():
-    with pytest.raises(
-        ValueError, match=r"middle of the limbus given, \(900, 20\), is outside .* 400 x 300"
-    ):
-        find_boundaries(drawn().photograph(), limbus=Ellipse((900, 20), (80, 80)))
 
 
 def blobs(width: float) -> np.ndarray:
@@ -180,10 +235,22 @@ def test_pictures_without_a_whole_eye_get_low_confidence(pixels):
         assert found.pupil_confidence < MIN_CONFIDENCE
 
 
-@pytest.mark.parametrize("level", [0.0, 1.0])
-def test_an_even_picture_is_refused_by_its_name(level):
-    with pytest.raises(ValueError, match=r"^even\.png: no iris found; give --limbus"):
-        find_boundaries(as_photograph(np.full((60, 80, 3), level), "even.png"))
+@pytest.mark.parametrize(
+    ("level", "known", "message"),
+    [
+        (0.0, {}, r"^even\.png: no iris found; give --limbus"),
+        (1.0, {}, r"^even\.png: no iris found; give --limbus"),
+        (
+            0.5,
+            {"limbus": Ellipse((900, 20), (80, 80))},
+            r"middle of the limbus given, \(900, 20\), is outside .* 80 x 60",
+        ),
+        (0.5, {"eye": "upper"}, "left, right or a number"),
+    ],
+)
+def test_refusals(level, known, message):
+    with pytest.raises(ValueError, match=message):
+        find_boundaries(as_photograph(np.full((60, 80, 3), level), "even.png"), **known)
 
 
 def test_a_pupil_of_eight_millimetres_is_right_or_doubted():
@@ -193,55 +260,6 @@ def test_a_pupil_of_eight_millimetres_is_right_or_doubted():
     assert abs(off).max() < 0.01 or found.pupil_confidence < MIN_CONFIDENCE
 
 
-def near(found, eye: Simulated, within=0.04) -> bool:
-    """Whether both outlines are right to 4 % of the limbus's radius, and said to be."""
-    off = [
-        max(np.hypot(*np.subtract(e.centre, t.centre)), abs(e.mean_radius - t.mean_radius))
-        for e, t in ((found.limbus, eye.limbus), (found.pupil, eye.pupil))
-    ]
-    sure = min(found.limbus_confidence, found.pupil_confidence)
-    return max(off) < within * eye.limbus.mean_radius and sure > MIN_CONFIDENCE
-
-
-@pytest.fixture(scope="module")
-def small():
-    """An eye between lids and lashes, seen from ahead, 62 pixels in radius."""
-    return photographed("blue_dirty.jpg", 1 / 8)
-
-
-def places(eye: Simulated):
-    """Places in radii of the limbus, to the right and down, and the distance from its middle."""
-    row, column = np.mgrid[: eye.pixels.shape[0], : eye.pixels.shape[1]]
-    (x, y), r = eye.limbus.centre, eye.limbus.mean_radius
-    return (column - x) / r, (row - y) / r, np.hypot(column - x, row - y) / r
-
-
-def mirrored_window(eye: Simulated) -> Simulated:
-    """Burnt out, over the pupil's rim."""
-    u, v, _ = places(eye)
-    window = (abs(u) < 0.3) & (v > -0.62) & (v < -0.1)
-    return eye._replace(pixels=eye.pixels + 1.5 * window[..., None])
-
-
-def mirrored_sky(eye: Simulated) -> Simulated:
-    """Half as bright as the iris, over the upper half of the pupil but for a dark post."""
-    u, v, r = places(eye)
-    sky = (r < 0.8) & (abs(u) < 0.55) & (v < 0) & (v > -0.35) & ~((abs(u) < 0.1) & (v > -0.25))
-    sky = ndimage.gaussian_filter(sky.astype(float), 0.6)
-    return eye._replace(pixels=eye.pixels + sky[..., None] * [0.06, 0.10, 0.17])
-
-
-def soft_limbus(eye: Simulated) -> Simulated:
-    near = np.exp(-(((places(eye)[2] - 1) / 0.08) ** 2))[..., None]
-    smooth = ndimage.gaussian_filter(eye.pixels, (3, 3, 0))
-    return eye._replace(pixels=eye.pixels * (1 - near) + near * smooth)
-
-
-def yellow_ring(eye: Simulated) -> Simulated:
-    share = ((places(eye)[2] < 0.62)[..., None]) * np.array([1.2, 0.25, -0.65])
-    return eye._replace(pixels=eye.pixels * (1 + share))
-
-
 def mirrored_horizon(eye: Simulated) -> Simulated:
     """A sky that is mirrored as brightly as the iris covers a little over half of the pupil."""
     _, v, r = places(eye)
@@ -249,51 +267,13 @@ def mirrored_horizon(eye: Simulated) -> Simulated:
     return eye._replace(pixels=eye.pixels + sky[..., None] * [0.10, 0.16, 0.28])
 
 
-def test_a_horizon_over_the_pupil_does_not_move_where_the_iris_begins(small):
+def test_a_horizon_over_the_pupil_does_not_move_where_the_iris_begins():
     """Beside the sky, whose light both sides of the rim have, the rise is as sharp as elsewhere."""
-    eye = mirrored_horizon(small)
+    eye = mirrored_horizon(between_lids())
     known = FittedEllipse(eye.limbus, 1.0), FittedEllipse(eye.pupil, 1.0)
     found = refine_pupil(eye.photograph(), *known)
     assert errors(found.outline, eye.pupil).max() < 0.02
     assert found.margin is not None and found.margin < 0.02
-
-
-@pytest.mark.parametrize("change", [mirrored_window, mirrored_sky, soft_limbus, yellow_ring])
-def test_an_eye_as_people_photograph_it(small, change):
-    eye = change(small)
-    assert near(find_boundaries(eye.photograph()), eye)
-
-
-def test_a_ring_lamp_in_the_pupil_is_not_its_rim():
-    eye = photographed("brown_dirty.jpg", 1 / 8)
-    u, v, _ = places(eye)
-    ring = 1.5 * (abs(np.hypot(u - 0.05, v - 0.05) - 0.26) < 0.03)
-    eye = eye._replace(pixels=eye.pixels + ndimage.gaussian_filter(ring, 0.5)[..., None])
-    assert near(find_boundaries(eye.photograph()), eye)
-
-
-def test_a_pupil_given_by_hand_does_not_make_the_limbus_worse(small):
-    eye = mirrored_sky(small)
-    found = find_boundaries(eye.photograph(), pupil=eye.pupil)
-    assert found.pupil == eye.pupil and near(found, eye)
-
-
-def in_a_face(eye: Simulated, size=330) -> Simulated:
-    """A brow, and a socket in the shade, of which the eye is a small part."""
-    row, column = np.mgrid[:size, :size] - size // 2
-    socket = 1 / (1 + np.exp((np.hypot(column / 130, row / 115) - 1) / 0.06))
-    face = SKIN * (1 - 0.35 * socket)[..., None]
-    brow = (abs(row + 90 - (column / 110) ** 2 * 30) < 12) & (abs(column) < 95)
-    face = face * (1 - 0.8 * ndimage.gaussian_filter(brow.astype(float), 3))[..., None]
-    rows, columns = eye.pixels.shape[:2]
-    top, left = (size - rows) // 2, (size - columns) // 2
-    face[top : top + rows, left : left + columns] = eye.pixels
-    return Simulated(face, eye.limbus.moved(left, top), eye.pupil.moved(left, top))
-
-
-def test_an_eye_in_a_face_is_not_its_socket(small):
-    eye = in_a_face(photographed("blue_dirty.jpg", 1 / 14))
-    assert near(find_boundaries(eye.photograph()), eye)
 
 
 def test_one_of_several_small_eyes_is_chosen(monkeypatch):
@@ -316,5 +296,3 @@ def test_one_of_several_small_eyes_is_chosen(monkeypatch):
     assert found.eyes == 2 and abs(found.limbus.centre[0] - 150) < 2
     with pytest.raises(ValueError, match=r"two\.png: --eye 3, but the picture shows 2"):
         find_boundaries(photo, eye="3")
-    with pytest.raises(ValueError, match="left, right or a number"):
-        find_boundaries(photo, eye="upper")

@@ -1,8 +1,6 @@
 """The simulated photographs that come with the project say the truth about themselves."""
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,17 +8,14 @@ from PIL import Image
 from scipy import ndimage
 
 from irisjax.anatomy.eye import Eye
-from irisjax.io.photographs import read_photograph
 from irisjax.io.scenes import read_scene
-from irisjax.photo.edges import reduce_picture
 from irisjax.photo.masks import cut_part
 from irisjax.photo.outlines import MIN_CONFIDENCE, find_boundaries
-from irisjax.photo.photograph import Ellipse
 from irisjax.photo.pose import find_pose
 from irisjax.photo.texture import LUMINANCE_WEIGHTS, masked_mean
+from photo.simulated import FOLDER, outline, reduced, truths
 
-FOLDER = Path(__file__).parent.parent.parent / "data" / "photographs"
-TRUTH = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
+TRUTH = truths(FOLDER)
 CLEAN = [t for t in TRUTH if not t["dirty"]]
 SCALE = 0.3
 MASKED = "brown_dirty.jpg", "green_tilted_dirty.jpg"
@@ -28,18 +23,6 @@ MASKED = "brown_dirty.jpg", "green_tilted_dirty.jpg"
 
 def by_file(truths):
     return pytest.mark.parametrize("truth", truths, ids=[t["file"] for t in truths])
-
-
-def outline(truth, name):
-    of = truth[name]
-    return Ellipse(tuple(of["centre_px"]), tuple(of["semi_axes_px"]), of["angle"])
-
-
-def reduced(name, scale=SCALE):
-    photo = read_photograph(FOLDER / name)
-    cut_off = reduce_picture(photo.saturated[..., None].astype(float), scale)[..., 0] > 0
-    focal, pixels = scale * photo.focal_px, reduce_picture(photo.pixels, scale)
-    return photo._replace(pixels=pixels, saturated=cut_off, focal_px=focal)
 
 
 def test_every_picture_has_its_truth():
@@ -85,11 +68,11 @@ def test_edges_lie_on_the_outlines(truth, name):
 
 def test_outlines_are_found_to_a_hundredth_of_their_radius_and_the_tilt_to_2_degrees():
     truth = next(t for t in TRUTH if t["file"] == "blue_tilted_dirty.jpg")
-    photo = reduced(truth["file"])
+    photo = reduced(FOLDER / truth["file"], SCALE)
     found = find_boundaries(photo)
     along = np.linspace(0, 2 * math.pi, 90)
     for seen, name in zip(found[:2], ("limbus", "pupil"), strict=True):
-        off = outline(truth, name).scaled(SCALE).relative_radius(*seen.points(along).T) - 1
+        off = outline(truth, name, SCALE).relative_radius(*seen.points(along).T) - 1
         assert abs(off).max() < 0.01
     assert min(found[2:4]) > MIN_CONFIDENCE
     camera = truth["camera"]
@@ -123,9 +106,9 @@ def test_what_lids_lashes_and_a_lamp_hide_is_masked(truth):
     Masked for nothing is what a streak has changed by less than 6 %: the thin shadows of lashes
     change it by a tenth, and must not be read as furrows.
     """
-    limbus, pupil = (outline(truth, name).scaled(0.5) for name in ("limbus", "pupil"))
+    limbus, pupil = (outline(truth, name, 0.5) for name in ("limbus", "pupil"))
     names = truth["file"], truth["file"].replace("_dirty", "")
-    dirty, clean = (cut_part(reduced(name, 0.5), limbus) for name in names)
+    dirty, clean = (cut_part(reduced(FOLDER / name, 0.5), limbus) for name in names)
     inner = dirty.moved(pupil)
     shape = dirty.outside.shape
     ring = dirty.limbus.mask(shape) & ~inner.mask(shape)

@@ -1,19 +1,14 @@
 """The second set of simulated photographs, which another model of light made, and its truth."""
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 from PIL import Image
 
-from irisjax.io.photographs import read_photograph
-from irisjax.photo.edges import reduce_picture
 from irisjax.photo.outlines import MIN_CONFIDENCE, find_boundaries
-from irisjax.photo.photograph import Ellipse
+from photo import simulated
 
-FOLDER = Path(__file__).parent.parent.parent / "data" / "photographs" / "volumetric"
-TRUTH = json.loads((FOLDER / "truth.json").read_text(encoding="utf-8"))["photographs"]
+FOLDER = simulated.FOLDER / "volumetric"
+TRUTH = simulated.truths(FOLDER)
 SCALE = 0.4
 
 
@@ -49,14 +44,11 @@ def test_means_are_those_of_the_maps():
 
 def test_outlines_are_found_or_refused():
     truth = TRUTH[0]
-    photo = read_photograph(FOLDER / truth["file"])
-    cut_off = reduce_picture(photo.saturated[..., None].astype(float), SCALE)[..., 0] > 0
-    pixels = reduce_picture(photo.pixels, SCALE)
-    found = find_boundaries(photo._replace(pixels=pixels, saturated=cut_off, focal_px=None))
+    photo = simulated.reduced(FOLDER / truth["file"], SCALE)
+    found = find_boundaries(photo._replace(focal_px=None))
     along, radius = np.linspace(0, 2 * np.pi, 90), SCALE * truth["limbus"]["semi_axes_px"][0]
     for name, sure in (("limbus", found.limbus_confidence), ("pupil", found.pupil_confidence)):
-        of = truth[name]
-        true = Ellipse(tuple(of["centre_px"]), tuple(of["semi_axes_px"]), of["angle"]).scaled(SCALE)
+        true = simulated.outline(truth, name, SCALE)
         off = true.relative_radius(*getattr(found, name).points(along).T) - 1
         right = abs(off).max() * true.semi_axes[0] < 0.04 * radius
         assert right or sure < MIN_CONFIDENCE
