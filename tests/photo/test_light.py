@@ -19,8 +19,6 @@ from irisjax.render.project import project_visible
 
 LIMBUS = Ellipse((100.0, 100.0), (87.0, 85.0), 0.35 + np.pi / 2)
 PUPIL = Ellipse((100.0, 100.0), (35.0, 34.0), 0.35 + np.pi / 2)
-
-
 CAMERA = Camera(polar=0.2, azimuth=0.35, distance=300.0, width=12.65, size=(201, 201))
 POSE = Pose(
     CAMERA, (0, 0), Eye(sclera=None), (0.0, 0.0), 2.0, 0.2, 0.01, (0.18, 0.22), None, "given"
@@ -50,8 +48,9 @@ def _mirrored(towards, radius, shape=None):
     return picture
 
 
-def _told(picture):
-    reflected = (picture > 0.5).all(-1) & (LIMBUS.radii(POSE.camera.shape) < 0.9)
+def _told(picture, reflected=None):
+    if reflected is None:
+        reflected = (picture > 0.5).all(-1) & (LIMBUS.radii(POSE.camera.shape) < 0.9)
     return find_lighting(picture, LIMBUS, PUPIL, reflected, POSE, view())
 
 
@@ -65,28 +64,26 @@ def _direction(polar, azimuth):
     return np.array([sin * np.cos(azimuth), sin * np.sin(azimuth), -np.cos(polar)])
 
 
-@pytest.mark.parametrize(("polar", "azimuth"), [(0.3, 2.0), (0.7, -1.0)])
-def test_a_highlight_tells_where_its_lamp_stands(polar, azimuth):
+@pytest.mark.parametrize(
+    ("polar", "azimuth", "radius", "uneven"), [(0.7, -1.0, 0.08, False), (0.3, 2.0, 0.15, True)]
+)
+def test_a_highlight_tells_where_its_lamp_stands(polar, azimuth, radius, uneven):
+    """One that rounding breaks up is one lamp, and a white that is cut off, beside the limbus, is
+    none.
+    """
     towards = _direction(polar, azimuth)
-    light = _told(_mirrored(towards, 0.08))
+    picture = _mirrored(towards, radius)
+    if uneven:
+        row, column = np.indices(POSE.camera.shape)
+        broken = ((row + column) % 5 == 0) | ((row - column) % 7 == 0)
+        picture[(picture[..., 0] > 0.5) & broken] = 0.9
+        picture[LIMBUS.radii(POSE.camera.shape) > 0.99] = 1.0
+    light = _told(picture)
     assert (light.found, light.room) == (1, True)
     lights = light.lights()
     assert _off(np.asarray(lights.towards)[0], towards) < 2
     np.testing.assert_allclose(lights.irradiance, np.pi)
-    assert float(lights.radius[0]) == pytest.approx(0.08, rel=0.4)
-
-
-def test_a_highlight_that_rounding_breaks_up_is_one_lamp():
-    """And a white that is cut off, beside the limbus, is none."""
-    towards = _direction(0.3, 2.0)
-    picture = _mirrored(towards, 0.15)
-    row, column = np.indices(POSE.camera.shape)
-    uneven = (picture[..., 0] > 0.5) & (((row + column) % 5 == 0) | ((row - column) % 7 == 0))
-    picture[uneven] = 0.9
-    picture[LIMBUS.radii(POSE.camera.shape) > 0.99] = 1.0
-    light = _told(picture)
-    assert light.found == 1
-    assert _off(np.asarray(light.lights().towards)[0], towards) < 2
+    assert float(lights.radius[0]) == pytest.approx(radius, rel=0.4)
 
 
 def test_two_lamps_share_the_light_by_their_areas():
@@ -107,17 +104,10 @@ def test_lamps_whose_images_are_not_cut_off_share_the_light_by_their_brightness(
     bright, faint = (_mirrored(towards, 0.08) > 0.5 for towards in (one, other))
     picture = np.where(bright, 0.65, np.where(faint, 0.11, DIM))
     reflected = (picture > 0.1).all(-1) & (LIMBUS.radii(POSE.camera.shape) < 0.9)
-    light = find_lighting(picture, LIMBUS, PUPIL, reflected, POSE, view())
+    light = _told(picture, reflected)
     towards, irradiance = (np.asarray(v) for v in (light.lamps.towards, light.lamps.irradiance))
     first, second = (irradiance[np.argmax(towards @ t)] for t in (one, other))
     assert first / second == pytest.approx(0.6 * bright.sum() / (0.06 * faint.sum()), rel=0.1)
-
-
-def test_a_mirror_image_that_adds_no_light_is_none():
-    """The light of all lamps was nothing, and their shares of it no numbers."""
-    spot = (_mirrored(_direction(0.9, 2.0), 0.08) > 0.5).all(-1)
-    light = find_lighting(DIM, LIMBUS, PUPIL, spot, POSE, view())
-    assert light.found == 0 and light.lamps is None
 
 
 def test_a_wide_highlight_is_a_window_of_its_own_shape():
@@ -177,8 +167,11 @@ def test_the_image_of_a_wide_light_tells_the_exposure(value, burnt_out):
     assert _off(np.asarray(light.lights().towards).mean(0), towards) < 2
 
 
-def test_without_a_highlight_light_comes_from_all_round():
-    light = _told(DIM)
+@pytest.mark.parametrize("reflected", [False, True])
+def test_without_a_highlight_light_comes_from_all_round(reflected):
+    """Nor is a mirror image one that adds no light: of nothing, shares are no numbers."""
+    spot = (_mirrored(_direction(0.9, 2.0), 0.08) > 0.5).all(-1)
+    light = _told(DIM, spot & reflected)
     assert (light.found, light.room, light.lamps) == (0, False, None)
     lights = light.lights()
     assert len(lights.irradiance) > 10

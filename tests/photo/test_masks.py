@@ -1,10 +1,11 @@
-"""What hides the iris: highlights, lashes, lids, and shadows of lashes."""
+"""What hides the iris: highlights, lashes, lids, and shadows of lashes; and its freckles."""
 
 import numpy as np
 import pytest
 from scipy import ndimage
 
 from irisjax.photo.masks import (
+    find_freckles,
     find_highlights,
     find_lash_shadows,
     find_lashes,
@@ -13,6 +14,7 @@ from irisjax.photo.masks import (
     remove_islands,
 )
 from irisjax.photo.photograph import Ellipse
+from irisjax.photo.texture import Unrefracted, texels_of
 
 SHAPE = (360, 480)
 LIMBUS, PUPIL = Ellipse((240, 180), (110, 108)), Ellipse((240, 180), (40, 39))
@@ -171,3 +173,46 @@ def test_slivers_along_a_lid_are_no_iris():
     clear = IRIS & ~LID
     sliver = IRIS & (SQUARE_ROW > 60) & (SQUARE_ROW < 64)
     np.testing.assert_array_equal(remove_islands(clear | sliver), clear)
+
+
+BLUE = np.array([0.10, 0.14, 0.20])
+BROWN = np.array([0.06, 0.035, 0.012])
+TEXELS = 256
+
+
+def _flat(spots=(), colour=BLUE, noise=0.02, ring=False):
+    """A streaky iris with spots ((x, y, diameter, colour), mm) and at need a brown ring."""
+    draw = np.random.default_rng(1)
+    radius, angle = texels_of(TEXELS)
+    streaks = 1 + 0.2 * np.sin(60 * angle + 3 * radius)
+    pixels = colour * streaks[..., None]
+    if ring:
+        share = np.exp(-(((radius - 3.0) / 0.5) ** 2))[..., None]
+        pixels = pixels * (1 - share) + 2 * BROWN * share
+    for x, y, width, paint in spots:
+        at = np.hypot(radius * np.cos(angle) - x, radius * np.sin(angle) - y) < width / 2
+        pixels[at] = paint * pixels[at].sum(-1, keepdims=True) / pixels[at].sum(-1).mean()
+    pixels = pixels * np.exp(noise * draw.standard_normal(pixels.shape))
+    return Unrefracted(pixels, (radius > 2.05) & (radius < 5.45), 2.0, 5.5)
+
+
+def _at(mask, x, y):
+    return mask[int((6 - y) / 12 * TEXELS), int((x + 6) / 12 * TEXELS)]
+
+
+@pytest.mark.parametrize("ring", [False, True])
+def test_brown_spots_are_found_and_neither_crypts_nor_the_collarette(ring):
+    crypt = 0.3 * BLUE
+    spots = [(3.5, 1.0, 0.3, BROWN), (-1.0, -3.9, 0.9, BROWN), (-3.6, 1.0, 0.5, crypt)]
+    found = find_freckles(_flat(spots, ring=ring))
+    assert _at(found, 3.5, 1.0) and _at(found, -1.0, -3.9) and not _at(found, -3.6, 1.0)
+    assert ndimage.label(found)[1] == 2
+
+
+def test_no_freckles_where_there_are_none():
+    """Nor where one would be too large, without colours and without texels."""
+    spotted = _flat([(3.5, 1.0, 0.4, BROWN)])
+    grey = spotted._replace(pixels=np.repeat(spotted.pixels[..., :1], 3, -1))
+    hidden = spotted._replace(valid=np.zeros((TEXELS, TEXELS), bool))
+    for iris in (_flat(), _flat(ring=True), _flat([(3.6, 0.0, 2.2, BROWN)]), grey, hidden):
+        assert not find_freckles(iris).any()

@@ -126,15 +126,18 @@ def test_limbus_sizes_of_people():
     assert limbus_spread() == pytest.approx((radii.mean(), radii.std()))
 
 
-def _measured(limbus, pupil, **given):
-    return find_pose(limbus, pupil, EYE, flattening_sd=(0.005, 0.005), **given)
+def _measured(limbus, pupil):
+    return find_pose(limbus, pupil, EYE, flattening_sd=(0.005, 0.005))
+
+
+def _stretched(outline, by):
+    return outline._replace(semi_axes=(by * outline.mean_radius, outline.mean_radius), angle=0.0)
 
 
 def test_a_limbus_flat_as_people_have_it_is_not_tilted():
     """3 % wider than high, with a round pupil a little above its middle."""
     limbus, pupil = outlines(EYE, camera_at())
-    r = limbus.mean_radius
-    found = _measured(limbus._replace(semi_axes=(1.015 * r, 0.985 * r), angle=0.0), pupil)
+    found = _measured(_stretched(limbus, 1.03), pupil)
     low, high = np.degrees(found.tilt_interval)
     assert np.degrees(found.tilt) < 5 and low == 0 and 8 < high < 20
     assert found.stretched < 0.1
@@ -142,11 +145,7 @@ def test_a_limbus_flat_as_people_have_it_is_not_tilted():
 
 def test_a_stretched_file_is_not_a_tilted_eye_for_sure():
     """By a sixth: limbus and pupil are equally flat, and the pupil is in the middle."""
-    limbus, pupil = (
-        e._replace(semi_axes=(1.16 * e.mean_radius, e.mean_radius), angle=0.0)
-        for e in outlines(EYE, camera_at())
-    )
-    found = _measured(limbus, pupil)
+    found = _measured(*(_stretched(e, 1.16) for e in outlines(EYE, camera_at())))
     assert found.stretched > 0.5
     assert found.tilt_interval[0] == 0
 
