@@ -3,15 +3,14 @@
 import dataclasses
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import window_scenes
 from scipy import ndimage
+from window_scenes import BARE, CAMERA, EYE, LIGHTS, SHAPE, picture_of, view
 from window_scenes import BASE as USUAL
-from window_scenes import CAMERA as ASIDE
-from window_scenes import EYE, LIGHTS, SHAPE, picture_of
 
 from irisjax.photo.clone import usual_iris
 from irisjax.photo.light import find_veil
@@ -27,7 +26,7 @@ from irisjax.photo.texture import Refraction
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.picture import surroundings, texture, within_gamut
-from irisjax.render.project import project_visible, scatter_to_picture
+from irisjax.render.project import scatter_to_picture
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
@@ -39,8 +38,6 @@ from irisjax.transport.process import DEPTH_RESOLVED
 
 # As fitted irides are, so that all pictures share a program.
 BASE = USUAL.replace(pheomelanin_abl_fraction=USUAL.abl_fraction)
-CAMERA = Camera(width=13.0, size=SHAPE)
-BARE = EYE.replace(cornea=None)
 INTEGRATOR = Separable(degrees=(2, 6, 6, 6, 2), solver=IlitExact(6))
 EXPOSURE = np.array([1.4, 1.3, 1.2])
 ANGLES, RADII = 96, 16
@@ -65,19 +62,13 @@ def cells_of(shape) -> Refraction:
     angle, out = ((np.arange(n) + 0.5) / n for n in shape)
     pupil, root = float(BARE.pupil_radius), float(BARE.iris_radius)
     radius, angle = pupil + (root - pupil) * out, 2 * np.pi * angle[:, None]
-    per_mm = CAMERA.size[0] / float(CAMERA.width)
-    at = radius * np.cos(angle), -radius * np.sin(angle)
-    column, row = (c * per_mm + (n - 1) / 2 for c, n in zip(at, SHAPE[::-1], strict=True))
-    return Refraction(*(c.astype(np.float32) for c in (column, row)), np.ones(shape, bool))
-
-
-@functools.cache
-def view():
-    return project_visible(BARE, CAMERA)
+    places = radius * np.cos(angle), radius * np.sin(angle), np.full(shape, BARE.iris_depth)
+    column_row = eqx.filter_jit(Camera.pixel)(CAMERA, np.stack(places, -1), BARE)
+    return Refraction(*(np.asarray(c, np.float32) for c in column_row), np.ones(shape, bool))
 
 
 def draw(scene) -> np.ndarray:
-    return picture_of(view(), scene)
+    return picture_of(view(bare=True), scene)
 
 
 @functools.cache
@@ -87,8 +78,13 @@ def drawn():
 
 
 def radii():
-    iris = view().iris
+    iris = view(bare=True).iris
     return scatter_to_picture(iris, np.hypot(*map(np.asarray, iris.point[:2])), SHAPE)
+
+
+def coarse(picture, known, iris=BASE, exposure=EXPOSURE):
+    scene = scene_with(None).replace(iris=iris)
+    return solve_coarse(picture, known, np.zeros(SHAPE), scene, view(bare=True), None, exposure)
 
 
 def solved(reflection: bool, wrong: float = 0.0):
@@ -100,26 +96,19 @@ def solved(reflection: bool, wrong: float = 0.0):
     window = np.zeros(SHAPE, bool)
     window[20:26, 20:26] = known[20:26, 20:26] & reflection
     target[window] += np.array([0.02, 0.05, 0.4])
-    scene, doubt, usual = scene_with(None), np.full((3, 3), wrong**2), np.zeros(SHAPE)
-    lit = target * np.exp(wrong), EXPOSURE * np.exp(-wrong)
     shown = known | ((radius > inner - 0.15) & (radius < outer))
-    coarse = solve_coarse(lit[0], known, usual, scene, view(), None, lit[1])
-    found = colour_iris(coarse, shown, doubt, cells_of)
-    return target, known, window, found
+    start = coarse(target * np.exp(wrong), known, exposure=EXPOSURE * np.exp(-wrong))
+    return target, known, window, colour_iris(start, shown, np.full((3, 3), wrong**2), cells_of)
 
 
 def test_an_iris_whose_epithelium_is_black_cannot_have_these_colours():
     """`is_within` tells the iris that can make the colours of the pixels from one that cannot."""
     radius = radii()
     known = (radius > float(BARE.pupil_radius) + 0.2) & (radius < 5.2)
-
-    def coarse(iris):
-        scene = scene_with(None).replace(iris=iris)
-        return solve_coarse(drawn(), known, np.zeros(SHAPE), scene, view(), None, EXPOSURE)
-
-    right, black = coarse(BASE), coarse(BASE.replace(eumelanin=100.0, scattering_scale=1e-3))
-    assert right.is_within and not black.is_within
-    assert black.error > 5 * right.error
+    black = BASE.replace(eumelanin=100.0, scattering_scale=1e-3)
+    right, wrong = (coarse(drawn(), known, iris) for iris in (BASE, black))
+    assert right.is_within and not wrong.is_within
+    assert wrong.error > 5 * right.error
 
 
 def _encoded(picture):
@@ -232,20 +221,19 @@ def test_a_residual_multiplies_the_iris_alone():
 
 
 def test_the_camera_sees_a_share_of_the_images():
-    room, known = Environment.uniform(0.5), {"camera": ASIDE, "integrator": INTEGRATOR}
+    room, known = Environment.uniform(0.5), {"camera": CAMERA, "integrator": INTEGRATOR}
     scene = Scene(BASE, None, EYE, None, room, **known)
-    seen = window_scenes.view()
+    seen = view()
     assert seen.mirror is not None
     film = scatter_to_picture(seen.mirror, np.asarray(seen.mirror.reflectance), SHAPE)
     shown = []
     for share in (1.0, 0.25, 0.0):
-        scene = scene.replace(camera=dataclasses.replace(ASIDE, images=share))
+        scene = scene.replace(camera=dataclasses.replace(CAMERA, images=share))
         channels = surroundings(seen, texture(seen, scene), scene)
         shown.append(np.asarray(channels).T.reshape(*SHAPE, 3))
+    mirrored = 0.5 * film[..., None] * np.ones(3)
     for share, picture in ((0.75, shown[1]), (1.0, shown[2])):
-        np.testing.assert_allclose(
-            shown[0] - picture, share * 0.5 * film[..., None] * np.ones(3), atol=2e-6
-        )
+        np.testing.assert_allclose(shown[0] - picture, share * mirrored, atol=2e-6)
     # The pupil tells what the tears mirror, and the darkest of the iris bounds it.
     pupil = Ellipse((44.5, 44.5), (12.0, 12.0))
     clear = np.zeros(SHAPE, bool)

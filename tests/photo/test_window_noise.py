@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 
 from irisjax.photo.pigments import (
     PRIOR_COVARIANCE,
@@ -38,21 +38,15 @@ def _rings(off):
 
 
 def _between(off, within, wider):
-    """Covariance of the means of rings with windows, element by element."""
-    seen = _rings(off)
-    along = [r[0] for r in RESPONSE.reshape(RINGS, ANGLES, 3)]
-    found = np.zeros((3 * len(seen), 3 * len(seen)))
-    for k, ring in enumerate(seen):
-        for m in range(len(seen)):
-            for c in range(3):
-                for d in range(3):
-                    e = WHOLE.thickness**2 * along[k][c] * along[m][d] + WHOLE.light**2
-                    if k == m:
-                        own = RING.thickness**2 * along[k][c] * along[k][d] + RING.light**2
-                        e += wider**2 * (own + RING.channel**2 * (c == d))
-                        e += within[k][c, d] / len(ring)
-                    found[3 * k + c, 3 * m + d] = e
-    return found
+    """Covariance of the means of rings with windows, block by block."""
+    rings, along = _rings(off), RESPONSE.reshape(RINGS, ANGLES, 3)[:, 0]
+    seen = along[: len(rings)]
+    blocks = [[WHOLE.thickness**2 * np.outer(a, b) + WHOLE.light**2 for b in seen] for a in seen]
+    for k, ring in enumerate(rings):
+        own = RING.thickness**2 * np.outer(seen[k], seen[k]) + RING.light**2
+        own += RING.channel**2 * np.eye(3)
+        blocks[k][k] += wider**2 * own + within[k] / len(ring)
+    return np.block(blocks)
 
 
 def _means(off, within):
@@ -84,54 +78,48 @@ def test_the_likelihood_is_the_one_with_covariances_drawn():
     prior = stats.invwishart(PRIOR_WINDOWS, PRIOR_WINDOWS * PRIOR_COVARIANCE)
     inverse = np.linalg.inv(prior.rvs(100_000, random_state=7))
     own, other = [], []
-    for seed in range(3):
-        off = _errors(seed)
-        found = likelihood(jnp.asarray(off), jnp.asarray(RESPONSE), jnp.asarray(PRESENT))
-        held = covariances_of(jnp.asarray(off), jnp.asarray(RESPONSE), jnp.asarray(PRESENT))
-        means = np.logaddexp.reduce(_means(off, np.asarray(held[0])))
-        own.append(float(found))
+    for off in map(_errors, range(3)):
+        known = jnp.asarray(off), jnp.asarray(RESPONSE), jnp.asarray(PRESENT)
+        own.append(float(likelihood(*known)))
+        means = np.logaddexp.reduce(_means(off, np.asarray(covariances_of(*known)[0])))
         other.append(_drawn(off, inverse) + means)
     assert np.ptp(own) > 5
     np.testing.assert_allclose(np.diff(own), np.diff(other), atol=0.15)  # as sure as 100,000 are
 
 
 def test_whitened_errors_have_the_density_of_their_covariances():
-    off, response, present = (jnp.asarray(v) for v in (_errors(1), RESPONSE, PRESENT))
-    held = covariances_of(off, response, present)
-    direct = 0.0
-    within = np.asarray(held[0])
-    for k, ring in enumerate(_rings(np.asarray(off))):
+    off = _errors(1)
+    held = covariances_of(jnp.asarray(off), jnp.asarray(RESPONSE), jnp.asarray(PRESENT))
+    within, direct = np.asarray(held[0]), 0.0
+    for covariance, ring in zip(within, _rings(off), strict=False):
         apart = ring - ring.mean(0)
-        direct += np.einsum("ni,ij,nj->", apart, np.linalg.inv(within[k]), apart)
-    means = np.concatenate([ring.mean(0) for ring in _rings(np.asarray(off))])
-    likely = _means(np.asarray(off), within)
-    for share, wider in zip(
-        np.exp(likely - np.logaddexp.reduce(likely)), SPREAD_FACTORS, strict=True
-    ):
-        direct += share * means @ np.linalg.solve(_between(np.asarray(off), within, wider), means)
-    assert float((whitened(off, present, held) ** 2).sum()) == pytest.approx(direct)
+        direct += np.einsum("ni,ij,nj->", apart, np.linalg.inv(covariance), apart)
+    means = np.concatenate([ring.mean(0) for ring in _rings(off)])
+    shares = special.softmax(_means(off, within))
+    for share, wider in zip(shares, SPREAD_FACTORS, strict=True):
+        direct += share * means @ np.linalg.solve(_between(off, within, wider), means)
+    found = whitened(jnp.asarray(off), jnp.asarray(PRESENT), held)
+    assert float((found**2).sum()) == pytest.approx(direct)
+
+
+def _of_all(off):
+    """The likelihood of errors of all windows."""
+    return float(likelihood(jnp.asarray(off), jnp.asarray(RESPONSE), jnp.ones(COUNT, bool)))
 
 
 def test_errors_alike_in_a_ring_are_forgiven_more_than_uneven_ones():
     """A ring that is thicker is no sign of other pigments; a colour that no thickness gives is."""
-    response, present = jnp.asarray(RESPONSE), jnp.ones(COUNT, bool)
     rings = np.repeat([0.1, -0.1, 0.1, -0.1], ANGLES)[:, None]
     scatter = np.repeat(_RANDOM.standard_normal((1, ANGLES, 3)), RINGS, 0).reshape(COUNT, 3)
     noise = 0.005 * (scatter - scatter.mean(0))
-    thicker = likelihood(jnp.asarray(rings * RESPONSE + noise), response, present)
     other = np.array([0.5, -0.5, 0.5]) * rings * np.linalg.norm(RESPONSE, axis=1, keepdims=True)
-    coloured = likelihood(jnp.asarray(other + noise), response, present)
-    assert thicker > coloured + 5
+    assert _of_all(rings * RESPONSE + noise) > _of_all(other + noise) + 5
 
 
 def test_rings_far_off_one_another_are_paid_for_once():
     """Light that falls off as that of no lamp: twice as far off costs by the logarithm."""
-    response, present = jnp.asarray(RESPONSE), jnp.ones(COUNT, bool)
     scatter = 0.02 * _RANDOM.standard_normal((COUNT, 3))
     rings = np.repeat([-0.5, 0.5, -0.5, 0.5], ANGLES)[:, None]
-
-    def found(factor):
-        return float(likelihood(jnp.asarray(factor * rings + scatter), response, present))
-
-    assert found(0.05) - found(0.5) < 20
-    assert found(0.5) - found(1.0) < 20
+    near, far, farther = (_of_all(factor * rings + scatter) for factor in (0.05, 0.5, 1.0))
+    assert near - far < 20
+    assert far - farther < 20

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from window_scenes import BASE, CAMERA, EYE, LIGHTS, QUICK, SHAPE, maps, picture_of, view
+from window_scenes import BARE, BASE, CAMERA, EYE, LIGHTS, QUICK, SHAPE, maps, picture_of, view
 
 from irisjax.anatomy.eye import Eye
 from irisjax.photo.clone import SEARCHED, usual_iris
@@ -42,7 +42,7 @@ from irisjax.render.shading import scale_ranges
 OTHER = BASE.replace(
     eumelanin=jnp.asarray(1.0), pheomelanin=jnp.asarray(0.3), abl_fraction=jnp.asarray(0.7)
 )
-alone = functools.cache(lambda: iris_alone(view()))
+alone = functools.cache(lambda bare=False: iris_alone(view(bare)))
 
 
 def chosen(picture, clear=True, **known):
@@ -52,45 +52,45 @@ def chosen(picture, clear=True, **known):
     return choose_pixels(colours, alone() & clear, view(), EYE, **known)
 
 
+TRACED = []
+radiance_of = eqx.filter_jit(lambda w, iris, room: TRACED.append(1) or w.radiance(iris, room))
+
+
 def _means_are_the_renderers(found, rtol):
     """No window has more pixels than are taken of it, so every one of the picture counts."""
     assert found.present.all()
-    radiance = eqx.filter_jit(lambda windows, iris: windows.radiance(iris, 0.4))(found, OTHER)
-    np.testing.assert_allclose(radiance, found.colour, rtol=rtol)
+    np.testing.assert_allclose(radiance_of(found, OTHER, jnp.asarray(0.4)), found.colour, rtol=rtol)
     assert np.ptp(found.colour, axis=0).min() > 0.01 * found.colour.mean()
 
 
-@pytest.fixture(scope="module")
-def bare():
-    """An eye without a cornea, whose tables take seconds; what the camera sees of it."""
-    eye = EYE.replace(cornea=None)
-    view = project_visible(eye, CAMERA)
-    return eye, view, iris_alone(view)
-
-
-def test_the_iris_alone_is_a_disc_within_the_limbus(bare):
+def test_the_iris_alone_is_a_disc_within_the_limbus():
     row, column = np.indices(SHAPE)
     away = np.hypot(row - 44.5, column - 44.5) * 13 / 90
-    for seen in (alone(), bare[2]):
+    for seen in (alone(), alone(True)):
         assert seen[(away > 2.6) & (away < 4)].all() and not seen[away > 6].any()
 
 
+@functools.cache
+def lamps():
+    """As many as stand for a room, so that one program serves both."""
+    return Environment.studio(32).to_lights(ENVIRONMENT_LIGHTS)
+
+
 @pytest.fixture(scope="module")
-def drawn(bare):
-    """Lamps in a room, and a picture by their light; as many lamps as stand for a room, so that one
-    program serves both.
-    """
-    lamps = Environment.studio(32).to_lights(ENVIRONMENT_LIGHTS)
+def pixels():
+    """Of a picture by lamps in a room; of an eye without a cornea, whose tables take seconds."""
     room = Environment.uniform(0.4)
-    scene = Scene(OTHER, maps(), bare[0], lamps, room, CAMERA, integrator=QUICK)
-    return lamps, picture_of(bare[1], scene)
+    scene = Scene(OTHER, maps(), BARE, lamps(), room, CAMERA, integrator=QUICK)
+    return choose_pixels(picture_of(view(True), scene), alone(True), view(True), BARE)
+
+
+def windows_by(lights, pixels, room=False):
+    return make_windows(pixels, BARE, BASE, maps(), lights, QUICK, None, room)
 
 
 @pytest.fixture(scope="module")
-def lit(bare, drawn):
-    eye, view, clear = bare
-    pixels = choose_pixels(drawn[1], clear, view, eye)
-    return make_windows(pixels, eye, BASE, maps(), Lighting(drawn[0]).lights(), QUICK, None, True)
+def lit(pixels):
+    return windows_by(Lighting(lamps()).lights(), pixels, room=True)
 
 
 def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels(lit):
@@ -98,15 +98,13 @@ def test_a_windows_radiance_is_the_mean_of_the_rendered_pixels(lit):
     assert len(lit.colour) == ANGLES * RINGS
 
 
-def test_photographs_by_any_light_share_the_programs_of_their_search(bare, drawn, lit):
-    pixels = choose_pixels(drawn[1], bare[2], bare[1], bare[0])
-    alone = make_windows(pixels, bare[0], BASE, maps(), LIGHTS, QUICK, None)
-    traced = []
-    radiance = eqx.filter_jit(lambda w, room: traced.append(1) or w.radiance(OTHER, room))
-    dark, same = (radiance(alone, jnp.asarray(room)) for room in (0.0, 0.4))
+def test_photographs_by_any_light_share_the_programs_of_their_search(pixels, lit):
+    dark, bright = (radiance_of(lit, OTHER, jnp.asarray(room)) for room in (0.0, 0.4))
+    assert (bright > dark).all()
+    traced, other = len(TRACED), windows_by(LIGHTS, pixels)
+    dark, same = (radiance_of(other, OTHER, jnp.asarray(room)) for room in (0.0, 0.4))
     np.testing.assert_array_equal(dark, same)  # there is no room
-    assert (radiance(lit, jnp.asarray(0.4)) > radiance(lit, jnp.asarray(0.0))).all()
-    assert len(traced) == 1
+    assert len(TRACED) == traced
 
 
 def test_thickness_brightens_and_freckles_darken(lit):

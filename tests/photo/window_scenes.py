@@ -19,6 +19,7 @@ from irisjax.tissue.maps import IrisMaps
 
 BASE = Iris(fibril_radius=jnp.asarray(57.0))
 EYE = Eye(cornea=Cornea(scatter=None), sclera=None)
+BARE = EYE.replace(cornea=None)
 CAMERA = Camera(polar=0.2, azimuth=0.4, width=13.0, size=(90, 90))
 POSE = Pose(CAMERA, (0, 0), EYE, (0.0, 0.0), 2.0, 0.2, 0.01, (0.18, 0.22), None, "given")
 LIGHTS = Lights.distant(0.6, 2.0) + Lights.distant(0.3, -1.0, 1.0)
@@ -28,9 +29,9 @@ SHAPE = CAMERA.shape
 
 
 @functools.cache
-def view():
-    """Picture that the camera sees."""
-    return project_visible(EYE, CAMERA)
+def view(bare: bool = False) -> View:
+    """What the camera sees, with a cornea or without one."""
+    return project_visible(BARE if bare else EYE, CAMERA)
 
 
 def picture_of(seen: View, scene: Scene) -> np.ndarray:
