@@ -16,9 +16,13 @@ NOTHING |= {"crypts": 0, "furrows": 0}
 EXTRA = {"freckles": 5, "abl": 1.0, "heterochromia": 2.0, "amber": 1.0, "patches": 0.5}
 
 
+def grown(eye=None, key=KEY, **features):
+    return procedural(ij.Iris(), eye, shape=SHAPE, key=key, **features)
+
+
 @pytest.fixture(scope="module")
 def everything():
-    return procedural(ij.Iris(), shape=SHAPE, **EXTRA, key=KEY)
+    return grown(**EXTRA)
 
 
 def test_every_map_is_there_and_within_what_irides_are(everything):
@@ -53,7 +57,7 @@ def test_thick_and_thin_tissue_keeps_its_fibres(everything, name):
 
 @pytest.mark.parametrize("feature", ["fibres", "clouds", "abl", "patches", "amber"])
 def test_features_of_any_strength_stay_in_their_ranges(feature):
-    maps = procedural(ij.Iris(), shape=SHAPE, **EXTRA | {feature: 300.0}, key=KEY)
+    maps = grown(**EXTRA | {feature: 300.0})
     limits = {"stroma_depth": STROMA, "abl_depth": ABL, "eumelanin": MELANIN}
     for name, (low, high) in (limits | {"pheomelanin": MELANIN}).items():
         relative = np.asarray(getattr(maps, name)) / usual(name)
@@ -63,10 +67,7 @@ def test_features_of_any_strength_stay_in_their_ranges(feature):
 
 def test_a_wider_pupil_presses_the_same_tissue_together(everything):
     """Volumes by circles' areas; the rest against what stretched maps would show."""
-    narrow, wide = (
-        procedural(ij.Iris(), ij.Eye(pupil_radius=r), shape=SHAPE, **EXTRA, key=KEY)
-        for r in (1.0, 3.4)
-    )
+    narrow, wide = (grown(ij.Eye(pupil_radius=r), **EXTRA) for r in (1.0, 3.4))
     eyes = {1.0: narrow, 1.9: everything, 3.4: wide}
     moved = everything.moved(ij.Eye(), ij.Eye(pupil_radius=3.4))
 
@@ -81,8 +82,7 @@ def test_a_wider_pupil_presses_the_same_tissue_together(everything):
     np.testing.assert_array_equal(moved.eumelanin, everything.eumelanin)
 
     def seam(maps, pupil):  # mm over which the seam leaves half of the stroma
-        bare = EXTRA | {"ruff": 0.0}
-        whole = procedural(ij.Iris(), ij.Eye(pupil_radius=pupil), shape=SHAPE, **bare, key=KEY)
+        whole = grown(ij.Eye(pupil_radius=pupil), **EXTRA | {"ruff": 0.0})
         share = np.asarray(maps.stroma_depth.mean(0) / whole.stroma_depth.mean(0))
         place = np.linspace(0, 5.5 - pupil, 2 * SHAPE[1] + 1)[1::2]
         return np.interp(0.5 * share[-1], share[:8], place[:8])
@@ -95,9 +95,7 @@ def test_a_wider_pupil_presses_the_same_tissue_together(everything):
 
 
 def test_equal_keys_give_equal_maps_and_others_do_not(everything):
-    again, other = (
-        procedural(ij.Iris(), shape=SHAPE, **EXTRA, key=jax.random.key(k)) for k in (7, 8)
-    )
+    again, other = (grown(key=jax.random.key(k), **EXTRA) for k in (7, 8))
     for name, m in everything.present().items():
         np.testing.assert_array_equal(m, again.present()[name])
         assert np.abs(np.asarray(m) - other.present()[name]).max() > 0.1 * np.ptp(m), name
@@ -116,7 +114,7 @@ def test_strands_run_radially(everything):
 
 
 def test_margins_are_thin_at_the_pupil_and_the_root(everything):
-    thin = procedural(ij.Iris(), shape=SHAPE, **EXTRA, margins=1.0, key=KEY)
+    thin = grown(**EXTRA, margins=1.0)
     ratio = np.asarray(thin.stroma_depth.mean(0) / everything.stroma_depth.mean(0))
     pupillary, ciliary, root = ratio[1], ratio[SHAPE[1] // 2], ratio[-1]
     assert pupillary < 0.8 * ciliary and root < 0.8 * ciliary
@@ -124,8 +122,7 @@ def test_margins_are_thin_at_the_pupil_and_the_root(everything):
 
 def test_crypts_open_near_the_collarette_and_loose_fibres_cross():
     closed, open_, loose = (
-        procedural(ij.Iris(), shape=SHAPE, crypts=n, looseness=x, key=KEY).stroma_depth
-        for n, x in ((0, 0.0), (50, 0.0), (0, 2.0))
+        grown(crypts=n, looseness=x).stroma_depth for n, x in ((0, 0.0), (50, 0.0), (0, 2.0))
     )
     thinned = np.asarray(open_ < 0.5 * closed).mean(0)
     assert thinned[10:30].mean() > 0.05 > 2 * thinned[40:].mean()
@@ -164,8 +161,7 @@ def test_profile_passes_through_ultrasound():
     ],
 )
 def test_maps_that_nothing_needs_are_absent(asked, present):
-    options = {"shape": SHAPE, **NOTHING, **asked}
-    maps = jax.eval_shape(lambda i, k: procedural(i, **options, key=k), ij.Iris(), KEY)
+    maps = jax.eval_shape(lambda key: grown(key=key, **NOTHING | asked), KEY)
     assert set(maps.present()) == present
 
 
@@ -180,7 +176,7 @@ def test_errors():
 
 
 def test_single_precision_sees_the_noise_of_double(float32):
-    found = jax.eval_shape(lambda k: procedural(ij.Iris(), shape=SHAPE, key=k), KEY)
+    found = jax.eval_shape(lambda key: grown(key=key), KEY)
     assert found.stroma_depth.dtype == found.relief.dtype == jnp.float32
     turns = jnp.linspace(0, 1, 50)
     fine = noise(jnp.uint32(3), turns, turns, (6, 2), 3)
