@@ -1,5 +1,7 @@
 """What hides the iris: highlights, lashes, lids, and shadows of lashes; and its freckles."""
 
+import functools
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -25,6 +27,11 @@ SKIN, SKY = np.array([0.5, 0.3, 0.2]), np.array([0.05, 0.07, 0.12])
 
 
 def _eye(grey=False):
+    return _painted(grey).copy()
+
+
+@functools.cache
+def _painted(grey):
     """White, a streaky iris with a dark rim, a pupil; skin far above and below."""
     draw = np.random.default_rng(2)
     pixels = np.broadcast_to([0.6, 0.57, 0.52], (*SHAPE, 3)).copy()

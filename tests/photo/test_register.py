@@ -1,5 +1,6 @@
 """A second photograph comes to lie on the first, though light and highlights differ."""
 
+import functools
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,6 +14,7 @@ from irisjax.photo.register import lay_on_first, register_photographs
 SHAPE, LIMBUS = (300, 360), Ellipse((175.0, 150.0), (110.0, 108.0), 0.3)
 
 
+@functools.cache
 def eye():
     """A function of (column, row) arrays: fibres, crypts and a pupil, white around; in [0, 1]."""
     rng = np.random.default_rng(5)

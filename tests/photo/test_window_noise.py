@@ -62,14 +62,12 @@ def _drawn(off, inverse):
     """Logarithm of the density of the windows about the means of their rings under covariances that
     were drawn, given as their inverses.
     """
-    total = 0.0
+    total, log_determinant = 0.0, np.linalg.slogdet(inverse)[1]
     for ring in _rings(off):
         apart = ring - ring.mean(0)
-        rows = np.linalg.svd(apart.T @ apart)
-        # As many independent rows as there are windows less one, of the same squares.
-        independent = np.sqrt(rows[1])[:, None] * rows[2]
-        squares = np.einsum("ij,nij->n", independent.T @ independent, inverse)
-        log_density = 0.5 * (len(ring) - 1) * np.linalg.slogdet(inverse)[1] - 0.5 * squares
+        squares = np.einsum("ij,nij->n", apart.T @ apart, inverse)
+        # The mean takes one window's worth of freedom.
+        log_density = 0.5 * ((len(ring) - 1) * log_determinant - squares)
         total += float(np.logaddexp.reduce(log_density) - np.log(len(inverse)))
     return total
 
