@@ -35,8 +35,9 @@ def on_ring(angle, share, edge=edge):
     return (1 - share) * CENTRE[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)])
 
 
-edge_of = eqx.filter_jit(Eye.pupil_edge)
-ring_of = eqx.filter_jit(Eye.ring_of)
+edge_of, ring_of, share_of, tilted = map(
+    eqx.filter_jit, (Eye.pupil_edge, Eye.ring_of, camera_share, facing_at)
+)
 
 
 def test_grown_edges_deviate_by_what_is_asked_for():
@@ -52,13 +53,13 @@ def test_grown_edges_deviate_by_what_is_asked_for():
 def test_tissue_ends_at_the_edge():
     view = project_visible(EYE, Camera(width=12.0, size=(96, 96)))
     x, y = (np.asarray(v) for v in view.iris.point[:2])
-    share = np.asarray(camera_share(view.iris, EYE)) / np.asarray(view.iris.share)
+    share = np.asarray(share_of(view.iris, EYE)) / np.asarray(view.iris.share)
     away = np.hypot(x - CENTRE[0], y - CENTRE[1])
     beyond = away - edge(np.arctan2(y - CENTRE[1], x - CENTRE[0]))
     known = (np.asarray(view.iris.share) > 0) & (np.asarray(view.iris.index) >= 0)
     assert (share[known & (beyond < -1e-6)] == 0).all()
     assert (share[known & (beyond > float(EYE.pupil_margin))] == 1).all()
-    mixed = (np.asarray(camera_share(view.iris, BARE)) > 0) != (share > 0)
+    mixed = (np.asarray(share_of(view.iris, BARE)) > 0) != (share > 0)
     assert (mixed & known).any()  # the round pupil ends elsewhere
 
 
@@ -95,7 +96,7 @@ def test_relief_tilts_by_the_slope_of_its_surface():
     rng = np.random.default_rng(3)
     u, v = on_ring(rng.uniform(-np.pi, np.pi, 40), rng.uniform(0.15, 0.85, 40), lambda _: 1.5)
     point, ones = tuple(map(jnp.asarray, (u, v, np.full(40, 3.6)))), jnp.ones(40)
-    normal, _ = facing_at(IrisPixels(None, point, point, ones, ones), BARE, relief)
+    normal, _ = tilted(IrisPixels(None, point, point, ones, ones), BARE, relief)
     steep = 0.1 * np.cos(0.8 * u + 0.5 * v)
     # Towards the cornea is −z: the surface is z = −height.
     expected = np.stack([-0.8 * steep, -0.5 * steep, -np.ones(40)])
@@ -111,10 +112,7 @@ def test_scene_files_grow_or_state_it():
     np.testing.assert_allclose(again.eye.pupil_harmonics, grown.eye.pupil_harmonics, rtol=1e-6)
     assert parse_scene(text.format("pupil_irregularity = 0")).scene().eye.pupil_harmonics is None
     for wrong, said in (
-        (
-            "pupil_irregularity = 0.2",
-            r"eye\.pupil_irregularity = .* must be a number in \[0, 0\.03",
-        ),
+        ("pupil_irregularity = 0.2", r"eye\.pupil_irregularity = .* a number in \[0, 0\.03"),
         ("pupil_centre = [3.0, 0.0]", r"eye\.pupil_centre = .* must be"),
         ("pupil_harmonics = [[0.01]]", r"eye\.pupil_harmonics = .* must be pairs \[cosine, sine\]"),
         ("pupil_harmonics = [[0.2, 0]]", r"eye\.pupil_harmonics = .* must be a number in \[-0\.05"),

@@ -116,7 +116,8 @@ def test_the_simplex_goes_down_stage_by_stage_where_light_and_scattering_are_kno
     assert np.sqrt((off**2).mean(0)).mean() > first >= last
     assert found.rms.mean() == pytest.approx(last)
     assert {n: found.values[n] for n in known} == pytest.approx(known)
-    assert found.rms.mean() < 0.3 * simplex(windows, BASE).rms.mean()
+    # The windows have no noise.
+    assert found.rms.mean() < 1e-3 < 0.3 * simplex(windows, BASE).rms.mean()
 
 
 def test_the_posterior_is_likelihood_times_prior(windows):
