@@ -144,8 +144,7 @@ EYES = {
     "unevenly lit": lambda: unevenly_lit(aside()),
     "mirrored window": lambda: mirrored_window(between_lids()),
     "mirrored sky": lambda: mirrored_sky(between_lids()),
-    "soft limbus": lambda: soft_limbus(between_lids()),
-    "yellow ring": lambda: yellow_ring(between_lids()),
+    "soft limbus, yellow ring": lambda: soft_limbus(yellow_ring(between_lids())),
     "ring lamp": lambda: ring_lamp(photographed("brown_dirty.jpg", 1 / 8)),
     "in a face": lambda: in_a_face(between_lids(1 / 14)),
 }
