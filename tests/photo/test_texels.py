@@ -58,7 +58,7 @@ def two_colours() -> IrisMaps:
 
 
 def cells_of(shape) -> Refraction:
-    """A bare iris is seen as it lies."""
+    """No cornea refracts: the camera projects along straight lines."""
     angle, out = ((np.arange(n) + 0.5) / n for n in shape)
     pupil, root = float(BARE.pupil_radius), float(BARE.iris_radius)
     radius, angle = pupil + (root - pupil) * out, 2 * np.pi * angle[:, None]
