@@ -30,6 +30,12 @@ def _eye(grey=False):
     return _painted(grey).copy()
 
 
+@pytest.fixture(params=[False, True], ids=["colour", "grey"])
+def grey(request):
+    """Photographs with and without colours."""
+    return request.param
+
+
 @functools.cache
 def _painted(grey):
     """White, a streaky iris with a dark rim, a pupil; skin far above and below."""
@@ -46,7 +52,6 @@ def _painted(grey):
     return np.repeat(pixels.mean(-1, keepdims=True), 3, -1) if grey else pixels
 
 
-@pytest.mark.parametrize("grey", [False, True])
 def test_highlights_are_marked_with_their_glow_and_little_else(grey):
     pixels = _eye(grey)
     away = np.hypot(COLUMN - 310, ROW - 150)
@@ -59,7 +64,6 @@ def test_highlights_are_marked_with_their_glow_and_little_else(grey):
     assert not found[~RING].any()
 
 
-@pytest.mark.parametrize("grey", [False, True])
 def test_a_window_that_is_not_burnt_out_is_found(grey):
     """A wide reflection through which the iris shows; a ring of another colour is none."""
     pixels = _eye(grey)
@@ -97,7 +101,6 @@ def _lashes():
     return drawn
 
 
-@pytest.mark.parametrize("grey", [False, True])
 def test_lashes_that_cross_the_limbus_are_found(grey):
     pixels, drawn = _eye(grey), _lashes()
     pixels[drawn] = 0.006
@@ -117,7 +120,6 @@ def test_a_dark_ring_along_the_limbus_is_no_lash():
     assert not found[ROW > 150].any()
 
 
-@pytest.mark.parametrize("grey", [False, True])
 def test_a_lid_over_the_iris_is_found(grey):
     pixels = _eye(grey)
     lid = ROW < 100 + ((COLUMN - 240) / 40) ** 2
@@ -139,7 +141,6 @@ def test_a_lid_behind_dark_lashes_is_found_beside_a_window():
     assert not found[RING & (ndimage.distance_transform_edt(~lid) > 12)].any()
 
 
-@pytest.mark.parametrize("grey", [False, True])
 def test_nothing_hides_an_open_eye(grey):
     pixels = _eye(grey)
     for ring in (RING, NONE):

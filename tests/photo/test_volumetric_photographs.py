@@ -1,17 +1,10 @@
-"""The second set of simulated photographs, which another model of light made, and its truth; the
-volume that Mitsuba traces for it.
-"""
+"""The second set of simulated photographs, which another model of light made, and its truth."""
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from PIL import Image
 
-import irisjax as ij
 from irisjax.photo.outlines import MIN_CONFIDENCE, find_boundaries
-from irisjax.tissue.indices import RefractiveIndices
-from irisjax.tissue.layers import Layers
-from irisjax.transport.light import Light
 from photo import simulated
 
 FOLDER = simulated.FOLDER / "volumetric"
@@ -59,26 +52,3 @@ def test_outlines_are_found_or_refused():
         off = true.relative_radius(*getattr(found, name).points(along).T) - 1
         right = abs(off).max() * true.semi_axes[0] < 0.04 * radius
         assert right or sure < MIN_CONFIDENCE
-
-
-@pytest.mark.peer
-def test_a_uniform_slab_is_as_bright_as_radiative_transfer_makes_it(monkeypatch):
-    """Three wavelengths in diffuse light, seen from above, without a surface that refracts; by
-    reciprocity the directional reflectance at normal incidence.
-    """
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
-    monkeypatch.syspath_prepend(str(simulated.FOLDER.parents[1]))
-    from experiments import volumetric_iris as volume
-
-    scattering, absorbing = np.array([3.0, 2.4, 2.0]), np.array([0.4, 0.3, 0.1])
-    depth = np.array([0.25, 0.12, 0.05])
-    sheet, size = np.broadcast_to(depth, (8, 8, 3)), (4, 8, 8)
-    light = np.ones((32, 64))
-    known = np.ones(size), scattering, absorbing, sheet
-    found = volume.traced_slab(*known, None, light, 1500, 1)[2:6, 2:6].mean((0, 1)) * np.pi
-    indices = RefractiveIndices(*(jnp.asarray(1.0),) * 4)
-    depths = map(jnp.asarray, (depth, absorbing * volume.DEPTH, scattering * volume.DEPTH))
-    layers = Layers(*depths, indices=indices, order=indices.order())
-    expected = np.asarray(ij.RadiativeExact().solve(layers, Light(1.0)).reflectance)
-    np.testing.assert_allclose(found / volume.irradiance_of(light), expected, rtol=0.03)
