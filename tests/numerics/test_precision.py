@@ -22,19 +22,23 @@ SOLVERS = {
 }
 
 
-@pytest.mark.parametrize("name", SOLVERS)
-def test_products_keep_all_bits(name):
-    """Lowered for a GPU, which need not be there: no product may round its factors to TF32."""
-    grid = np.array([450.0, 550.0])
+def reflectance_by(name):
+    """A function of the load of melanin, its solver made in the precision of the moment."""
+    grid, solver = np.array([450.0, 550.0]), SOLVERS[name]()
 
     def reflectance(load):
         iris = ij.Iris(eumelanin=load)
         return ij.reflectance(iris, grid, solver=solver, throw=False).values.sum()
 
+    return reflectance
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_products_keep_all_bits(name):
+    """Lowered for a GPU, which need not be there: no product may round its factors to TF32."""
     with jax.enable_x64(False):
-        solver = SOLVERS[name]()
-        program = export.export(jax.jit(jax.value_and_grad(reflectance)), platforms=["cuda"])
-        text = program(jnp.float32(1.0)).mlir_module()
+        run = jax.jit(jax.value_and_grad(reflectance_by(name)))
+        text = export.export(run, platforms=["cuda"])(jnp.float32(1.0)).mlir_module()
     products = re.findall(r"stablehlo\.dot_general.*", text)
     assert products
     assert not [p for p in products if "HIGHEST" not in p]
@@ -47,13 +51,7 @@ def test_constants_follow_the_precision(name):
     """
 
     def program():
-        grid, solver = np.array([450.0, 550.0]), SOLVERS[name]()
-
-        def reflectance(load):
-            iris = ij.Iris(eumelanin=load)
-            return ij.reflectance(iris, grid, solver=solver, throw=False).values.sum()
-
-        return jax.jit(reflectance).trace(jnp.ones((), jnp.result_type(float)))
+        return jax.jit(reflectance_by(name)).trace(jnp.ones((), jnp.result_type(float)))
 
     with jax.enable_x64(False):
         single = program()

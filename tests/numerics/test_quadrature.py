@@ -116,9 +116,8 @@ def test_first_panel_left_out():
     assert np.sum(2 * mu * w) + float(rule.omitted) == pytest.approx(1, abs=1e-13)
 
 
-@pytest.mark.parametrize("possible", [(True, False), (True, True)])
-def test_nothing_left_out_if_one_break_is_missing(possible):
-    make = partial(cosine_rule, possible=possible, n=32, leave_out_first=True)
+def test_nothing_left_out_if_one_break_is_impossible():
+    make = partial(cosine_rule, possible=(True, False), n=32, leave_out_first=True)
     rule = jax.jit(make)(jnp.asarray([0.18, -0.1]))
     assert rule.omitted == 0
     assert rule.cosine.size == 32
@@ -133,6 +132,7 @@ def test_missing_breaks_cost_no_nodes(leave_out):
         left = leave_out and places == (0.18, 0.18)
         known = rule_for(0.18, n=found.cosine.size, leave_out_first=left)
         assert found.panels == known.panels
+        assert found.omitted == known.omitted
         np.testing.assert_allclose(found.cosine, known.cosine, rtol=1e-15)
         np.testing.assert_allclose(found.weight, known.weight, rtol=1e-14)
     none = rule_for(-0.1, -0.2, 0.0, n=10)
@@ -157,7 +157,7 @@ def test_gradient_is_that_of_the_nodes_used(bits):
 
 @pytest.mark.parametrize(("critical", "n"), [((), 36), ((0.18,), 8), ((0.18, 0.0007), 8)])
 def test_conserving(critical, n, bits):
-    rule = conserving(rule_for(*critical, n=n))
+    rule = jax.jit(conserving)(rule_for(*critical, n=n))
     near = partial(pytest.approx, abs=8 * float(np.finfo(rule.weight.dtype).eps))
     w, mu = np.float64(rule.weight), np.float64(rule.cosine)
     assert w.sum() == near(1)

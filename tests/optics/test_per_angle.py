@@ -55,30 +55,25 @@ def test_kernel(mu, other, bits):
 
 
 @pytest.mark.parametrize(
-    ("breaks", "error"),
+    ("breaks", "bits", "error"),
     [
-        ((), 1e-10),
-        ((0.0223, -0.2), 1e-10),
-        ((0.3, 0.3), 1e-10),
-        ((1e-4, 0.9), 1e-9),  # as the docstring says of break points next to 0
+        ((), 64, 1e-10),
+        ((0.0223, -0.2), 64, 1e-10),
+        ((0.3, 0.3), 64, 1e-10),
+        ((1e-4, 0.9), 64, 1e-9),  # as the docstring says of break points next to 0
+        ((0.0223,), 32, 1e-6),
     ],
 )
-def test_as_along_great_circles(breaks, error):
+def test_as_along_great_circles(breaks, bits, error):
     rule = rule_for(*breaks)
     found = np.asarray(program(len(breaks))(jnp.asarray(breaks, float)))
+    assert found.dtype == (np.float64 if bits == 64 else np.float32)
     np.testing.assert_allclose(found[::STEP], along_great_circles(rule), rtol=0, atol=error)
 
 
 def test_missing_breaks_are_one_panel():
     found = program(2)(jnp.asarray([-0.1, -0.2]))
     np.testing.assert_array_equal(found, program(0, found.shape[0])(jnp.zeros(0)))
-
-
-def test_single_precision(float32):
-    rule = rule_for(0.0223)
-    found = np.asarray(program(1)(jnp.asarray([0.0223])))
-    assert found.dtype == np.float32
-    np.testing.assert_allclose(found[::STEP], along_great_circles(rule), rtol=0, atol=1e-6)
 
 
 @pytest.mark.slow  # a minute of compiling

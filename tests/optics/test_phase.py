@@ -66,20 +66,6 @@ def test_sampler_is_symmetric_and_bounded(name, bits):
     assert (np.diff(c) >= 0).all() if bits == 64 else (np.diff(c) > -1e-6).all()
 
 
-def test_rayleigh_kernel_is_the_azimuth_average():
-    """k(μ, μ') = ∫ p(cos Θ) dφ with p = 3/(16π)(1 + cos²Θ), at pairs of nodes."""
-    n = 36
-    mu, w, scatter = operator("rayleigh", (), n)
-    for i, j in ((0, n - 1), (n // 2, n // 3), (n - 1, n - 1), (2, 3)):
-        sines = np.sqrt((1 - mu[i] ** 2) * (1 - mu[j] ** 2))
-
-        def p(phi, i=i, j=j, sines=sines):
-            return 3 / (16 * np.pi) * (1 + (mu[i] * mu[j] + sines * np.cos(phi)) ** 2)
-
-        expected = quad(p, 0, 2 * np.pi, epsabs=1e-14)[0] * w[j]
-        assert scatter[i, j] == pytest.approx(expected, rel=1e-12)
-
-
 def averaged_over_circle(power, a, b):
     """Mean over ψ of |a + b cos ψ|^power."""
     if power == 0:
