@@ -142,23 +142,6 @@ def test_materials_follow_the_schemas():
     assert all(tree()["samplers"][t["sampler"]]["wrapS"] == 33071 for t in tree()["textures"])
 
 
-def test_one_surface_of_the_humour_magnifies_as_both_of_the_cornea():
-    """The pupil's magnification by vergences: the glTF replaces two surfaces of the cornea by one."""
-    front, back, cornea, humour = 7.8e-3, 6.5e-3, 1.3771, 1.336
-
-    def through(vergence, index, beyond, radius):
-        return vergence + (index - beyond) / radius
-
-    one = -humour / 3.6e-3
-    single = one / through(one, humour, 1.0, front)
-    inner = -humour / (3.6e-3 - 0.52e-3)
-    middle = through(inner, humour, cornea, back)
-    outer = -cornea / (cornea / -middle + 0.52e-3)
-    both = inner / middle * outer / through(outer, cornea, 1.0, front)
-    assert single == pytest.approx(both, rel=1e-3)
-    assert single > 1.12
-
-
 def test_textures_are_planar_and_the_right_way_round():
     """At vertices between pupil and root, read by hand from the file's own picture."""
     iris = loaded().geometry["iris"]
