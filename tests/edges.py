@@ -3,7 +3,6 @@
 import numpy as np
 
 import irisjax as ij
-from common import GRID
 from irisjax.tissue.iris import LIMITS
 
 COSINES = (1.0, 0.3, 1e-6, 0.0)
@@ -55,16 +54,6 @@ def edge(name):
 
 VECTORS = {e: np.array([edge(e)[n] for n in NUMBERS]) for e in EDGES}
 """Made once, in double precision."""
-
-
-def as_vector(name):
-    return VECTORS[name]
-
-
-def reflectance_of(vector, solver, cosine=1.0):
-    """Everything traced: the iris is built inside the program."""
-    iris = ij.Iris(**dict(zip(NUMBERS, vector, strict=True)))
-    return ij.reflectance(iris, GRID[::6], solver=solver, cos_incidence=cosine, throw=False)
 
 
 # An empty stroma between mirrors: grazing rays make reflectance go as τ ln τ, whose slope at 0 is

@@ -78,13 +78,6 @@ def test_exported_programs_give_the_same_numbers():
     np.testing.assert_allclose(again.call(grid, *leaves), expected, rtol=1e-13)
 
 
-def test_donation():
-    given = jax.tree.map(jnp.array, LOW)
-    brighter = jax.jit(lambda i: i.replace(eumelanin=i.eumelanin / 2), donate_argnums=0)(given)
-    assert brighter.eumelanin == LOW.eumelanin / 2
-    assert brighter.order == LOW.order
-
-
 def like(f, *arguments):
     """What a function returns, with zeros for its numbers: nothing is compiled."""
     return jax.tree.map(lambda x: jnp.zeros(x.shape, x.dtype), jax.eval_shape(f, *arguments))

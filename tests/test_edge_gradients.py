@@ -1,4 +1,4 @@
-"""Gradients of irides at the edges of the physics: forward, reverse, and by differences."""
+"""Irides at the edges of the physics: energy, status, gradients forward, reverse and by differences."""
 
 import functools
 import itertools
@@ -10,8 +10,19 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import GRID, PROCESSES, exact, quick_jit, slowly
-from edges import BASE, EDGES, NO_SLOPE, NUMBERS, OF_DEPTHS, SAME_MEDIA, as_vector, edge
+from common import GRID, PROCESSES, exact, quick_jit, slowly, stack
+from edges import (
+    BASE,
+    COSINES,
+    EDGES,
+    NO_SLOPE,
+    NUMBERS,
+    OF_DEPTHS,
+    SAME_MEDIA,
+    TINY,
+    VECTORS,
+    edge,
+)
 from irisjax.tissue.iris import LIMITS
 
 pytestmark = pytest.mark.peer
@@ -51,6 +62,11 @@ TEMPLATE = ij.Iris(**edge("plain"))
 ORDERS = {e: ij.Iris(**edge(e)).order for e in EDGES}
 
 
+def built(vector):
+    """The iris is built inside the program, from traced numbers: any order of media is possible."""
+    return ij.Iris(**dict(zip(NUMBERS, vector, strict=True)))
+
+
 def replaced(iris, vector):
     """With other numbers, and the order of media that it has."""
     return eqx.tree_at(lambda i: [getattr(i, n) for n in NUMBERS], iris, list(vector))
@@ -63,17 +79,11 @@ CASES = pytest.mark.parametrize(
 
 
 def values(name, traced_order):
-    """Spectra as a function of an iris's numbers.
-
-    Either the iris is built outside and all its leaves are batched (its order of media is known),
-    or it is built inside the program from traced numbers (any order is possible).
-    """
+    """Spectra as a function of an iris's numbers; otherwise its order of media is known."""
     solver = exact(PROCESSES[name], 12)
 
     def of(v):
-        iris = (
-            ij.Iris(**dict(zip(NUMBERS, v, strict=True))) if traced_order else replaced(TEMPLATE, v)
-        )
+        iris = built(v) if traced_order else replaced(TEMPLATE, v)
         return ij.reflectance(iris, GRID[::6], solver=solver, throw=False).values
 
     return of
@@ -85,7 +95,7 @@ def kept(name, traced_order):
     if not traced_order:
         edges = [e for e in edges if ORDERS[e] == TEMPLATE.order]
     assert len(edges) >= 9
-    return edges, np.stack([as_vector(e) for e in edges])
+    return edges, np.stack([VECTORS[e] for e in edges])
 
 
 @functools.cache
@@ -138,33 +148,58 @@ def test_gradients_in_reverse_are_those_forward(name, traced_order):
 
 
 def test_gradients_in_single_precision_are_finite(float32):
-    vectors = jnp.asarray(np.stack([as_vector(e) for e in EDGES]), jnp.float32)
-    g = quick_jit(jax.vmap(jax.jacfwd(values("rayleigh", True))))(vectors)
-    bad = [
-        (e, f)
-        for i, e in enumerate(EDGES)
-        for j, f in enumerate(NUMBERS)
-        if not np.isfinite(np.asarray(g)[i, :, j]).all()
-    ]
-    assert not bad
+    vectors = jnp.asarray(np.stack(list(VECTORS.values())), jnp.float32)
+    found = quick_jit(jax.vmap(jax.jacfwd(values("rayleigh", True))))(vectors)
+    bad = np.argwhere(~np.isfinite(np.asarray(found)).all(1))
+    assert [(list(EDGES)[i], NUMBERS[j]) for i, j in bad] == []
 
 
-def test_tabulated_gradients_at_edges(tabulated):
-    vectors = jnp.asarray(
-        [[getattr(BASE.replace(**EDGES[e]), f) for f in OF_DEPTHS] for e in SAME_MEDIA]
-    )
+@pytest.mark.parametrize(
+    ("name", "bits"), [("lb06", 64), ("rayleigh-retest", 32), ("depth-resolved", 64)]
+)
+def test_energy_and_status(name, bits):
+    vectors = jnp.asarray(np.stack(list(VECTORS.values())), jnp.result_type(float))
+    # Traced irides do not tell how many panels they take.
+    panelled = ij.RadiativeExact(12, n_panels=5)
+    solver = panelled if name == "depth-resolved" else exact(PROCESSES[name], 12)
 
-    def slopes(solver):
-        def f(v):
-            return ij.reflectance(
-                BASE.replace(**dict(zip(OF_DEPTHS, v, strict=True))), GRID[::6], solver=solver
-            ).values
+    @quick_jit
+    @functools.partial(jax.vmap, in_axes=(0, None))
+    def run(v, cosine):
+        grid = GRID[::6]
+        return ij.reflectance(built(v), grid, solver=solver, cos_incidence=cosine, throw=False)
 
-        return np.asarray(quick_jit(jax.vmap(jax.jacfwd(f)))(vectors))
+    for cosine in COSINES:
+        found = run(vectors, jnp.asarray(cosine, float))
+        assert np.asarray(found.status == ij.RESULTS.successful).all()
+        assert np.isfinite(found.values).all()
+        assert found.values.min() >= 0 and found.values.max() <= 1
+        parts = jax.tree.leaves((found.values, found.absorbed))
+        total = sum(np.asarray(x).astype(np.float64) for x in parts)
+        np.testing.assert_allclose(total, 1, rtol=0, atol=TINY[bits])
 
-    found, true = slopes(tabulated), slopes(ij.IlitExact(n_angles=64))
-    assert np.isfinite(found).all()
-    sloping = [i for i, e in enumerate(SAME_MEDIA) if e not in NO_SLOPE]
-    found, true = found[sloping], true[sloping]
-    scale = np.abs(true).max(axis=(0, 1))
-    np.testing.assert_allclose(found / scale, true / scale, rtol=0, atol=1e-5)
+
+def test_tabulated_values_and_gradients(tabulated):
+    irides = stack([BASE.replace(**EDGES[e]) for e in SAME_MEDIA])
+    depths = jnp.stack([getattr(irides, n) for n in OF_DEPTHS], -1)
+
+    def run(solver):
+        def measured(v, iris):
+            iris = iris.replace(**dict(zip(OF_DEPTHS, v, strict=True)))
+            return ij.reflectance(iris, GRID, solver=solver, throw=False)
+
+        def both(v, iris):
+            return measured(v, iris), jax.jacfwd(lambda v: measured(v, iris).values)(v)
+
+        return quick_jit(jax.vmap(both))(depths, irides)
+
+    (found, slopes), (true, true_slopes) = run(tabulated), run(ij.IlitExact(n_angles=64))
+    assert bool((found.status == ij.RESULTS.successful).all())
+    np.testing.assert_allclose(found.values, true.values, rtol=0, atol=8 * tabulated.error)
+    total = sum(np.asarray(x) for x in jax.tree.leaves((found.values, found.absorbed)))
+    np.testing.assert_allclose(total, 1, rtol=0, atol=1e-12)
+    assert np.isfinite(slopes).all()
+    sloping = np.array([e not in NO_SLOPE for e in SAME_MEDIA])
+    slopes, true_slopes = slopes[sloping], true_slopes[sloping]
+    scale = np.abs(true_slopes).max(axis=(0, 1))
+    np.testing.assert_allclose(slopes / scale, true_slopes / scale, rtol=0, atol=1e-5)
