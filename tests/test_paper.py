@@ -12,8 +12,8 @@ GRID = ij.wavelengths(400, 700, 1)
 SOLVER = exact(ij.ILIT_2006)
 
 
-def spectrum(level, fraction=0.5):
-    iris = ij.Iris.of_level(level).replace(abl_fraction=fraction)
+def spectrum(level, **fields):
+    iris = ij.Iris.of_level(level).replace(**fields)
     return np.asarray(ij.reflectance(iris, GRID, solver=SOLVER, first_surface=False).values)
 
 
@@ -40,14 +40,13 @@ def test_blood_w(level, expected):
 def test_blood_w_comes_from_blood():
     """Without blood the spectrum bends the other way: no hump above the chord of 542 and 577 nm."""
 
-    def bend(iris):
-        values = np.asarray(ij.reflectance(iris, GRID, first_surface=False).values)
+    def bend(level, **fields):
+        values = spectrum(level, **fields)
         return at(values, 560) - (at(values, 542) * 17 + at(values, 577) * 18) / 35
 
     for level in ("low", "high"):
-        iris = ij.Iris.of_level(level)
-        bloodless = iris.replace(oxyhemoglobin=0.0, deoxyhemoglobin=0.0)
-        assert bend(iris) > max(0.0002, 3 * bend(bloodless))
+        bloodless = bend(level, oxyhemoglobin=0.0, deoxyhemoglobin=0.0)
+        assert bend(level) > max(0.0002, 3 * bloodless)
 
 
 def test_range_between_levels():
@@ -64,7 +63,7 @@ def test_more_of_it_in_the_abl_is_darker(level):
     """[LB06 Fig. 7] for the moderate level; low irides turn round beyond 640 nm, where so little
     absorbs.
     """
-    spectra = [spectrum(level, fraction) for fraction in (0.2, 0.35, 0.5, 0.65, 0.8)]
+    spectra = [spectrum(level, abl_fraction=fraction) for fraction in (0.2, 0.35, 0.5, 0.65, 0.8)]
     for brighter, darker in itertools.pairwise(spectra):
         assert (brighter > darker).all()
 

@@ -174,8 +174,10 @@ def test_every_limit_can_be_drawn(name):
 
 
 @pytest.mark.parametrize(
-    ("name", "parameters", "line"),
+    ("name", "given", "line"),
     [
+        ("limbus", {"size": 1}, "size = 1 is outside [2, 8192]"),
+        ("limbus", {"pupil": float("nan")}, "pupil = nan is outside [0.02, 0.95]"),
         ("stroma", {}, "unknown component 'stroma'; did you mean 'stroma-dots'? known: base, stro"),
         ("limbus", {"widht": 1}, "unknown parameter of limbus 'widht'"),
         ("base", {"width": 0.1}, "unknown parameter of base 'width'; known: none"),
@@ -186,35 +188,24 @@ def test_every_limit_can_be_drawn(name):
         ("stroma-smears", {"inner": 0.6, "outer": 0.5}, "inner = 0.6 is not below outer = 0.5"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_line(name, parameters, line):
+def test_what_is_wrong_is_said_in_one_line(name, given, line):
     with pytest.raises(ValueError, match=re.escape(line)) as raised:
-        component(name, parameters)
+        drawn(name, **given)
     assert "\n" not in str(raised.value)
 
 
-def test_sizes_and_pupils_that_no_map_has():
-    with pytest.raises(ValueError, match=r"size = 1 is outside \[2, 8192\]"):
-        drawn("limbus", 1)
-    with pytest.raises(ValueError, match=r"pupil = nan is outside \[0.02, 0.95\]"):
-        drawn("limbus", 64, float("nan"))
-
-
 def test_scans_are_one_less_their_grey_value():
+    """Of colours by the weights of ITU-R BT.709, of what is not opaque on white."""
     grey = np.array([[0, 51], [204, 255]], np.uint8)
     opaque = np.array([[1, 0.8], [0.2, 0]], np.float32)
     same = grey.astype(np.uint16) * 257, 1 - opaque, np.repeat(grey[..., None], 3, 2)
-    for picture in (grey, *same):
-        np.testing.assert_allclose(scan(picture, 2), opaque, atol=1e-6)
+    colours = np.array([[(1, 0, 0, 1), (0, 1, 0, 1)], [(0, 0, 0, 0.25), (1.0, 1, 1, 1)]])
+    pairs = [(picture, opaque) for picture in (grey, *same)]
+    pairs.append((colours, [[1 - 0.2126, 1 - 0.7152], [0.25, 0]]))
+    pairs.append((np.tile([0.0, 0.5], (2, 2, 1)), np.full((2, 2), 0.5)))
+    for picture, expected in pairs:
+        np.testing.assert_allclose(scan(picture, 2), expected, atol=1e-6)
         assert scan(picture, 2).dtype == np.float32
-
-
-def test_scans_in_colour_and_with_alpha():
-    paper = np.array([[(1, 0, 0, 1), (0, 1, 0, 1)], [(0, 0, 0, 0.25), (1.0, 1, 1, 1)]])
-    # Weights of ITU-R BT.709; a quarter of black on white.
-    expected = [[1 - 0.2126, 1 - 0.7152], [0.25, 0]]
-    np.testing.assert_allclose(scan(paper, 2), expected, atol=1e-6)
-    grey = np.stack([np.zeros((2, 2)), np.full((2, 2), 0.5)], -1)
-    np.testing.assert_allclose(scan(grey, 2), 0.5)
 
 
 def test_scans_of_another_size():

@@ -116,16 +116,6 @@ def by_hand(*coats):
     return seen
 
 
-def test_a_clear_coat_changes_no_pixel_and_an_opaque_one_hides_all_below():
-    below = coat("base", colour=RED), coat("spots", 0.1, spots(0), BLUE)
-    without, clear = picture(*below), picture(*below, coat("clear", 0.2, 0.0, GREEN))
-    assert without.max() > 0.1
-    np.testing.assert_array_equal(clear, without)
-    top = coat("top", 0.2, 1.0, GREEN)
-    alone, covered = picture(top), picture(*below, top)
-    np.testing.assert_allclose(in_the_middle(covered), in_the_middle(alone), atol=1e-14)
-
-
 KINDS = (1.0, RED), (0.6, GREEN), (0.3, BLUE)
 
 

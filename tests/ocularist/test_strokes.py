@@ -75,12 +75,6 @@ def test_strokes_run_where_they_are_put():
     assert np.ptp(y) > 0.8 * 0.5 * 0.7
 
 
-def test_no_strokes_are_no_paint():
-    none = np.zeros(0)
-    assert len(Strokes(*[none] * 6, 0.5).paint(RNG, Annulus(0.3), 0.01).x) == 0
-    assert Dots(*[none] * 4).paint(RNG, Annulus(0.3), 0.01).opacity(16, 0.01).max() == 0
-
-
 def test_angles_are_even_or_not_as_asked():
     def gaps(irregularity):
         angle = np.sort(angles_round(np.random.default_rng(3), 200, irregularity) % (2 * np.pi))
