@@ -92,21 +92,6 @@ def test_volume_fractions_absorb_as_f09s_power_laws():
     np.testing.assert_allclose(tables.abl_absorption, laws.abl_absorption, rtol=0.15)
 
 
-@pytest.mark.parametrize(
-    ("fields", "said"),
-    [
-        ({"abl_eumelanin_percent": 7.56}, "go together; give abl_pheomelanin_percent"),
-        (F09_FIG_1 | {"eumelanin": 1.0}, "give no eumelanin"),
-        (F09_FIG_1 | {"melanin_load": 1.0}, "give no melanin_load"),
-        (F09_FIG_1 | {"absorption": "lb06"}, "give no absorption"),
-        (F09_FIG_1 | {"stroma_eumelanin_percent": 101.0}, r"stroma_eumelanin_percent = 101 .*100"),
-    ],
-)
-def test_wrong_volume_fractions_are_refused(fields, said):
-    with pytest.raises(ValueError, match=said):
-        ij.Iris().replace(**fields)
-
-
 def test_melanin_load_is_settable():
     iris = ij.Iris.of_level("moderate")
     assert iris.melanin_load == pytest.approx((0.8138 + 0.2054) * (H_A + H_S), rel=1e-14)
@@ -132,24 +117,32 @@ def test_melanin_load_and_fraction_inside_jit_and_grad():
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "message"),
+    ("fields", "said"),
     [
-        ("eumelanin", -0.1, r"^eumelanin = -0\.1 mg/ml is outside \[0, 2000\] mg/ml$"),
-        ("eumelanin", float("inf"), r"^eumelanin = inf mg/ml is outside"),
-        ("abl_fraction", 1.2, r"^abl_fraction = 1\.2 is outside \[0, 1\]$"),
-        ("stroma_thickness", float("nan"), r"^stroma_thickness = nan mm is outside"),
-        ("stroma_index", 3.1, r"^stroma_index = 3\.1 is outside \[1, 3\]$"),
-        ("collagen_fraction", 0.0, r"^collagen_fraction = 0 is outside \(0, 1\]$"),
-        ("melanin_load", -1.0, r"^melanin_load = -1 ug/mm2 is outside \[0, 12000\] ug/mm2$"),
-        ("melanin", 1.0, r"^unknown parameter 'melanin'.* known: melanin_load, hemoglobin, "),
-        ("eumelanin", "much", r"^eumelanin must be a number, got 'much'$"),
-        ("eumelanin", True, r"^eumelanin must be a number, got True$"),
-        ("eumelanin", 1j, r"^eumelanin must be a real number"),
+        ({"eumelanin": -0.1}, r"^eumelanin = -0\.1 mg/ml is outside \[0, 2000\] mg/ml$"),
+        ({"eumelanin": np.inf}, r"^eumelanin = inf mg/ml is outside"),
+        ({"abl_fraction": 1.2}, r"^abl_fraction = 1\.2 is outside \[0, 1\]$"),
+        ({"stroma_thickness": np.nan}, r"^stroma_thickness = nan mm is outside"),
+        ({"stroma_index": 3.1}, r"^stroma_index = 3\.1 is outside \[1, 3\]$"),
+        ({"collagen_fraction": 0.0}, r"^collagen_fraction = 0 is outside \(0, 1\]$"),
+        ({"melanin_load": -1.0}, r"^melanin_load = -1 ug/mm2 is outside \[0, 12000\] ug/mm2$"),
+        ({"melanin": 1.0}, r"^unknown parameter 'melanin'.* known: melanin_load, hemoglobin, "),
+        ({"eumelanin": "much"}, r"^eumelanin must be a number, got 'much'$"),
+        ({"eumelanin": True}, r"^eumelanin must be a number, got True$"),
+        ({"eumelanin": 1j}, r"^eumelanin must be a real number"),
+        ({"saturation": 1.2}, "saturation = 1.2 is outside"),
+        ({"hemoglobin": -0.1}, "hemoglobin = -0.1 mmol/l is outside"),
+        ({"hemoglobin": 0.1, "oxyhemoglobin": 0.1}, "both haemoglobins are set by it"),
+        ({"abl_eumelanin_percent": 7.56}, "go together; give abl_pheomelanin_percent"),
+        (F09_FIG_1 | {"eumelanin": 1.0}, "give no eumelanin"),
+        (F09_FIG_1 | {"melanin_load": 1.0}, "give no melanin_load"),
+        (F09_FIG_1 | {"absorption": "lb06"}, "give no absorption"),
+        (F09_FIG_1 | {"stroma_eumelanin_percent": 101.0}, r"stroma_eumelanin_percent = 101 .*100"),
     ],
 )
-def test_bad_values_are_named(field, value, message):
-    with pytest.raises(ValueError, match=message):
-        ij.Iris.of_level("low").replace(**{field: value})
+def test_bad_values_are_named(fields, said):
+    with pytest.raises(ValueError, match=said):
+        ij.Iris.of_level("low").replace(**fields)
 
 
 @pytest.mark.parametrize("field", sorted(LIMITS))
@@ -229,10 +222,3 @@ def test_blood_by_its_amount_and_its_oxygen():
     assert float(iris.replace(saturation=0.2).hemoglobin) == pytest.approx(0.1)
     without = iris.replace(hemoglobin=0.0)
     assert (float(without.hemoglobin), float(without.saturation)) == (0, 0.5)
-    for wrong, message in (
-        ({"saturation": 1.2}, "saturation = 1.2 is outside"),
-        ({"hemoglobin": -0.1}, "hemoglobin = -0.1 mmol/l is outside"),
-        ({"hemoglobin": 0.1, "oxyhemoglobin": 0.1}, "both haemoglobins are set by it"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            iris.replace(**wrong)
