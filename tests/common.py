@@ -148,16 +148,17 @@ def solve(solver, made, cosine=1.0, exits=None, azimuth=None):
 
 def operations(f, *args, name=None):
     """Operations (of a name, if given) in the traced program, those of inner programs included."""
+    return operations_of(jax.make_jaxpr(f)(*args).jaxpr, name)
 
-    def count(jaxpr):
-        total = 0
-        for equation in jaxpr.eqns:
-            total += name is None or equation.primitive.name == name
-            inner = jax.tree.leaves(list(equation.params.values()), is_leaf=_is_jaxpr)
-            total += sum(count(getattr(p, "jaxpr", p)) for p in inner if _is_jaxpr(p))
-        return total
 
-    return count(jax.make_jaxpr(f)(*args).jaxpr)
+def operations_of(jaxpr, name=None):
+    """The same of a program that is traced."""
+    total = 0
+    for equation in jaxpr.eqns:
+        total += name is None or equation.primitive.name == name
+        inner = jax.tree.leaves(list(equation.params.values()), is_leaf=_is_jaxpr)
+        total += sum(operations_of(getattr(p, "jaxpr", p), name) for p in inner if _is_jaxpr(p))
+    return total
 
 
 def _is_jaxpr(x):

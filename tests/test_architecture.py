@@ -12,10 +12,9 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import pytest
-from jax.extend.core import jaxpr_as_fun
 
 import irisjax as ij
-from common import operations, quick_jit
+from common import operations, operations_of, quick_jit
 from irisjax.numerics.quadrature import cosine_rule
 
 ROOT = Path(__file__).parent.parent
@@ -214,11 +213,10 @@ def test_what_is_not_asked_for_costs_nothing():
         ilit = isinstance(process, ij.Ilit)
         solver = ij.IlitExact(8, process=process) if ilit else ij.RadiativeExact(8, 4, panels)
         light = ij.Light(1.0, exits if beyond else None)
-        return jax.make_jaxpr(lambda x: solver.solve(x, light))(layers)
+        return jax.make_jaxpr(lambda x: solver.solve(x, light))(layers).jaxpr
 
     def program(process, exits=None, panels=1, name=None):
-        run = jaxpr_as_fun(traced(process, exits is not None, panels))
-        return operations(run, *jax.tree.leaves(layers), name=name)
+        return operations_of(traced(process, exits is not None, panels), name)
 
     plain, deep = program(ij.ILIT_CORRECTED), program(ij.DEPTH_RESOLVED)
     # The two azimuthal orders of Rayleigh's phase function are compiled for a BRDF only.
