@@ -13,6 +13,7 @@ from irisjax.tissue.iris import FRACTIONS, LIMITS
 from irisjax.tissue.pigments import extinction
 
 H_A, H_S = 0.05675, 0.2855
+layers_of = jax.jit(ij.Iris.layers)
 
 
 def test_levels_are_table_2():
@@ -42,7 +43,7 @@ def test_depths_of_the_reference_tables():
             assert len(chosen) == 31
             grid = np.array([float(r["wavelength_nm"]) for r in chosen])
             iris = ij.Iris.of_level(level).replace(abl_fraction=fraction)
-            layers = iris.layers(ij.extinction(grid))
+            layers = layers_of(iris, ij.extinction(grid))
             for name, found in (
                 ("mu_a_abl", layers.abl_absorption / H_A),
                 ("mu_a_stroma", layers.stroma_absorption / H_S),
@@ -64,7 +65,7 @@ def test_abl_fraction_is_the_share_of_mass(fraction, eumelanin, pheomelanin, h_a
     assert iris.abl_melanin == pytest.approx(fraction * float(iris.melanin_load), rel=1e-14)
     table = ij.extinction(np.array([550.0]))
     mass = float(table.eumelanin[0]) * eumelanin + float(table.pheomelanin[0]) * pheomelanin
-    mass, layers = mass * (h_a + h_s), iris.layers(table)
+    mass, layers = mass * (h_a + h_s), layers_of(iris, table)
     near = partial(pytest.approx, rel=1e-13, abs=1e-300)
     assert layers.abl_absorption[0] == near(fraction * mass)
     assert layers.stroma_absorption[0] == near((1 - fraction) * mass)
@@ -81,14 +82,14 @@ def test_volume_fractions_absorb_as_f09s_power_laws():
     for intensification in (2.2, 1.0):
         fields = none | F09_FIG_1 | {"intensification": intensification}
         iris = ij.Iris(abl_thickness=0.1).replace(**fields)
-        layers = iris.layers(ij.extinction(np.array([450.0, 550.0])))
+        layers = layers_of(iris, ij.extinction(np.array([450.0, 550.0])))
         abl, stroma = layers.abl_absorption / 0.1, layers.stroma_absorption / H_S
         np.testing.assert_allclose(abl, 0.0756 * eumelanin + 0.0584 * pheomelanin, rtol=1e-9)
         np.testing.assert_allclose(stroma, 0.0461 * eumelanin + 0.0211 * pheomelanin, rtol=1e-9)
         assert iris.volume_fractions() == pytest.approx(F09_FIG_1, rel=1e-12)
     assert "absorption = f09" in repr(iris)
     # A mg/ml means about as much by either absorption: a load of one is one of the other.
-    tables, laws = (ij.Iris(absorption=a).layers(ij.extinction(GRID)) for a in ("lb06", "f09"))
+    tables, laws = (layers_of(ij.Iris(absorption=a), ij.extinction(GRID)) for a in ("lb06", "f09"))
     np.testing.assert_allclose(tables.abl_absorption, laws.abl_absorption, rtol=0.15)
 
 
@@ -186,9 +187,9 @@ def test_print(bits):
 
 
 def test_albedo_and_coalbedo_sum_to_one():
-    layers = ij.Iris.of_level("moderate").layers(ij.extinction(GRID))
+    layers = layers_of(ij.Iris.of_level("moderate"), ij.extinction(GRID))
     np.testing.assert_allclose(layers.albedo + layers.coalbedo, 1, rtol=1e-15)
-    empty = ij.Iris(stroma_thickness=0.0).layers(ij.extinction(GRID))
+    empty = layers_of(ij.Iris(stroma_thickness=0.0), ij.extinction(GRID))
     np.testing.assert_array_equal(empty.albedo, 0)
     np.testing.assert_array_equal(empty.coalbedo, 1)
 
@@ -198,14 +199,14 @@ def test_pheomelanin_may_be_shared_out_for_itself():
     table = extinction(np.array([450.0, 600.0]))
     both = ij.Iris(eumelanin=0.3, pheomelanin=0.2, abl_fraction=0.7)
     same = both.replace(pheomelanin_abl_fraction=0.7)
-    found = [x.layers(table).abl_absorption for x in (both, same)]
+    found = [layers_of(x, table).abl_absorption for x in (both, same)]
     np.testing.assert_allclose(*found, rtol=1e-14)
     # What each melanin does by itself adds up.
-    one = both.replace(pheomelanin=0.0).layers(table)
-    other = both.replace(eumelanin=0.0, abl_fraction=0.1).layers(table)
-    none = both.replace(eumelanin=0.0, pheomelanin=0.0).layers(table)
+    one = layers_of(both.replace(pheomelanin=0.0), table)
+    other = layers_of(both.replace(eumelanin=0.0, abl_fraction=0.1), table)
+    none = layers_of(both.replace(eumelanin=0.0, pheomelanin=0.0), table)
     apart = both.replace(pheomelanin_abl_fraction=0.1)
-    found = apart.layers(table)
+    found = layers_of(apart, table)
     for name in ("abl_absorption", "stroma_absorption"):
         whole, *parts = (getattr(x, name) - getattr(none, name) for x in (found, one, other))
         np.testing.assert_allclose(whole, sum(parts), rtol=1e-12)
