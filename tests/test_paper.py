@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import exact, quick_jit
+from common import exact
 
 GRID = ij.wavelengths(400, 700, 1)
 SOLVER = exact(ij.ILIT_2006)
@@ -82,8 +82,3 @@ def test_brdf_is_near_lambertian(level, angle):
     assert np.abs(np.pi * f / float(whole) - 1).max() <= 0.126
     # Falls off monotonically towards grazing.
     assert (np.diff(f) < 0).all()
-
-
-def test_round_trip_of_figures():
-    """In vivo the cornea takes two per cent of the light on its way in (T_in = 0.979)."""
-    assert quick_jit(lambda: ij.Media().inward(1.0)[0])() == pytest.approx(0.979, abs=5e-4)

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import expn
 
-from irisjax.numerics.quadrature import conserving, cosine_rule, graded, graded_rise
-from irisjax.optics.fresnel import critical_cosine_squared, refracted
+from irisjax.numerics.quadrature import conserving, cosine_rule
+from irisjax.optics.fresnel import critical_cosine_squared
 
 
 def rule_for(*critical, n=36, leave_out_first=False):
@@ -163,22 +163,3 @@ def test_conserving(critical, n, bits):
     assert w.sum() == near(1)
     assert np.sum(w * mu**2) == near(1 / 3)
     assert rule.weight.dtype == (np.float64 if bits == 64 else np.float32)
-
-
-@given(st.floats(0, 1), st.floats(0, 1), st.floats(0, 1))
-def test_grading(x, to, start):
-    g, slope = graded(x, start, np)
-    assert 0 <= g <= 1 + 1e-15
-    assert slope >= 0
-    rise = graded(to, start, np)[0] - g
-    assert graded_rise(x, to, to - x, start, np) == pytest.approx(rise, abs=1e-15)
-
-
-def test_refracted_is_snell():
-    c2 = 1 - (1.336 / 1.4733) ** 2
-    rule = rule_for(c2)
-    mu = np.asarray(rule.cosine)
-    inside = np.maximum(1 - (1.4733 / 1.336) ** 2 * (1 - mu**2), 0)
-    found = refracted(rule, 0, 1.4733, 1.336)
-    np.testing.assert_allclose(np.asarray(found) ** 2, inside, atol=1e-14)
-    assert (np.asarray(found)[mu**2 < c2 * (1 - 1e-12)] == 0).all()

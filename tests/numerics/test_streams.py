@@ -21,16 +21,6 @@ def _words(key, counts):
     return jnp.stack(fold_in_words(k0, k1, counts), -1), expected
 
 
-def test_words_are_spread_evenly():
-    # Bytes of consecutive counts: 256 cells, χ² within 5 standard deviations of its mean.
-    counts = jnp.arange(2**18, dtype=jnp.uint32)
-    words = np.asarray(jax.jit(fold_in_words)(jnp.uint32(1), jnp.uint32(2), counts))
-    for byte in words.view(np.uint8).reshape(-1, 4).T:
-        seen = np.bincount(byte, minlength=256)
-        chi_square = ((seen - seen.mean()) ** 2 / seen.mean()).sum()
-        assert abs(chi_square - 255) < 5 * np.sqrt(2 * 255)
-
-
 def test_uniform_is_never_an_end():
     ends = jax.jit(uniform)(jnp.asarray([0, 2**23 - 1], jnp.uint32), scales()[0])
     assert ends.dtype == jnp.float32

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import irisjax as ij
-from common import GRID, reference
+from common import GRID, all_irides, reference
 from irisjax.infer.parameters import of_iris
 from irisjax.tissue.iris import FRACTIONS, LIMITS
 from irisjax.tissue.pigments import extinction
@@ -32,26 +32,24 @@ def test_levels_are_table_2():
 
 
 def test_depths_of_the_reference_tables():
-    rows = reference("ilit_reflectance.csv")
-    for level in ("low", "moderate", "high"):
-        for fraction in (0.2, 0.5, 0.8):
-            chosen = [
-                r for r in rows
-                if (r["level"], r["rescatter"], r["phase"], r["perturb_on_reflection"]) == (level, "retest", "rayleigh", "0")
-                and float(r["abl_fraction"]) == fraction
-            ]  # fmt: skip
-            assert len(chosen) == 31
-            grid = np.array([float(r["wavelength_nm"]) for r in chosen])
-            iris = ij.Iris.of_level(level).replace(abl_fraction=fraction)
-            layers = layers_of(iris, ij.extinction(grid))
-            for name, found in (
-                ("mu_a_abl", layers.abl_absorption / H_A),
-                ("mu_a_stroma", layers.stroma_absorption / H_S),
-                ("mu_s_stroma", layers.stroma_scattering / H_S),
-            ):
-                # The file prints nine digits.
-                expected = [float(r[name]) for r in chosen]
-                np.testing.assert_allclose(found, expected, rtol=6e-9, err_msg=name)
+    names, irides = all_irides()
+    rows = [
+        r for r in reference("ilit_reflectance.csv")
+        if (r["rescatter"], r["phase"], r["perturb_on_reflection"]) == ("retest", "rayleigh", "0")
+    ]  # fmt: skip
+    layers = jax.jit(jax.vmap(ij.Iris.layers, (0, None)))(irides, ij.extinction(GRID))
+    for column, found in (
+        ("mu_a_abl", layers.abl_absorption / H_A),
+        ("mu_a_stroma", layers.stroma_absorption / H_S),
+        ("mu_s_stroma", layers.stroma_scattering / H_S),
+    ):
+        known = {
+            (r["level"], float(r["abl_fraction"]), float(r["wavelength_nm"])): float(r[column])
+            for r in rows
+        }
+        expected = [[known[(*name, w)] for w in GRID.tolist()] for name in names]
+        # The file prints nine digits.
+        np.testing.assert_allclose(found, expected, rtol=6e-9, err_msg=column)
 
 
 @settings(max_examples=20)
