@@ -9,6 +9,7 @@ from irisjax.photo.texture import fill_holes
 
 _TURNS = 48  # places round the iris from which a hidden region may be filled
 _BORDER = 6  # cells about a region in which the places are compared
+_MOST_OFF = 2.0  # standard deviations by which a place counts as different at most
 _CONTINUED = 4  # cells whose mean is continued
 _FADES = 0.08  # depth under a lid at which differences are a third, of the iris's width
 
@@ -19,8 +20,9 @@ def fill_by_texture(
     """Fill hidden cells of polar maps; the others stay exact.
 
     The edges, where pupil or white show through all round, continue the cells next to them. Each
-    other region is filled from where the iris, turned by some angle, is seen and differs least
-    along the region's border. What still differs there is spread smoothly over a region with a
+    other region is filled from where the iris, turned by some angle, is seen, differs least along
+    the region's border, and is as the iris usually is at its radius: no mirror image that was taken
+    for iris comes again. What still differs at the border is spread smoothly over a region with a
     border all round. Under a lid, whose shade alone may be the difference, it fades away from the
     border.
     """
@@ -28,7 +30,7 @@ def fill_by_texture(
         return layers
     cells, hidden = _continue_edges(np.moveaxis(layers, 0, -1), hidden)
     smooth = fill_holes(cells, hidden)
-    scale = np.maximum(cells[~hidden].std(0), 1e-6)
+    scale, usual = np.maximum(cells[~hidden].std(0), 1e-6), np.median(smooth, axis=0)
     filled, turns = smooth.copy(), [i * len(hidden) // _TURNS for i in range(1, _TURNS)]
     for rows, columns, region in _regions(hidden):
         box = np.ix_(rows % len(hidden), columns)
@@ -38,12 +40,16 @@ def fill_by_texture(
         # A place that is itself hidden is the last choice.
         unseen = [int(hidden[(inside[0] - t) % len(hidden), inside[1]].sum()) for t in turns]
 
-        def dissimilarity(turn: int, at_border=at_border, edge=edge) -> float:
+        def worth(turn: int, at_border=at_border, inside=inside, edge=edge) -> float:
+            there = smooth[(inside[0] - turn) % len(hidden), inside[1]]
+            strange = (((there - usual[inside[1]]) / scale) ** 2).mean()
             turned = smooth[(edge[0] - turn) % len(hidden), edge[1]]
-            return float((((at_border - turned) / scale) ** 2).mean()) if len(at_border) else 0.0
+            # What is left of a mirror image at the border is like nothing else.
+            off = np.minimum(np.abs(at_border - turned) / scale, _MOST_OFF)
+            return -float(strange + (off**2).mean() if len(off) else strange)
 
         shown = [t for t, count in zip(turns, unseen, strict=True) if count == min(unseen)]
-        turn = min(shown, key=dissimilarity)
+        turn = max(shown, key=worth)
         turned = smooth[np.ix_((rows - turn) % len(hidden), columns)]
         if not region.all():
             difference = fill_holes(smooth[box] - turned, region)
