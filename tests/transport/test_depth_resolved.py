@@ -86,42 +86,35 @@ def test_energy(media, cosine):
     assert bool(r.status == ij.RESULTS.successful)
 
 
-@pytest.mark.parametrize("index", [1.0, 1.25])
-def test_single_scattering(index):
-    """f = T(μ_i) T(μ_o) n⁻² ω p(Θ) [1 − e^{−τ(1/μ+1/μ')}]/(μ+μ') as the albedo goes to nothing, at
-    every azimuth.
+@pytest.mark.parametrize(
+    ("index", "depth", "albedo"),
+    # In the last case second scattering adds a share of order τ ln(1/τ) = 2e-7.
+    [(1.0, 0.5, 1e-7), (1.25, 0.5, 1e-7), (1.0, 1e-8, 1.0)],
+)
+def test_single_scattering(index, depth, albedo):
+    """f = T(μ_i) T(μ_o) n⁻² ω p(Θ) [1 − e^{−τ(1/μ+1/μ')}]/(μ+μ') as the albedo goes to nothing or
+    the depth does, at every azimuth.
     """
-    depth, albedo = 0.5, 1e-7
     made = layers(0.0, depth * (1 - albedo), depth * albedo, (1.0, 1.0, index, index))
     exits = np.array([0.95, 0.6, 0.6, 0.3, 0.1, 1.0])
     azimuth = np.array([0.0, 0.4, np.pi, 2.0, 1.0, 0.0])
+
+    def inside(mu):
+        return np.sqrt(1 - (1 - mu**2) / index**2)
+
+    def passed(mu):
+        a, b = mu * index, inside(mu) * index
+        across, along = (mu - b) / (mu + b), (a - inside(mu)) / (a + inside(mu))
+        return 1 - 0.5 * (across**2 + along**2)
+
     for cosine in (1.0, 0.5):
-        found = solve(made, cosine, exits=exits, azimuth=azimuth).brdf[0]
-
-        def inside(mu):
-            return np.sqrt(1 - (1 - mu**2) / index**2)
-
-        def passed(mu):
-            a, b = mu * index, inside(mu) * index
-            across, along = (mu - b) / (mu + b), (a - inside(mu)) / (a + inside(mu))
-            return 1 - 0.5 * (across**2 + along**2)
-
         i, o = inside(cosine), inside(exits)
         cos_theta = -i * o + np.sqrt((1 - i * i) * (1 - o * o)) * np.cos(azimuth)
         phase = 3 / (16 * np.pi) * (1 + cos_theta**2)
         sent = -np.expm1(-depth * (1 / i + 1 / o)) / (i + o)
         expected = passed(cosine) * passed(exits) / index**2 * albedo * phase * sent
+        found = solve(made, cosine, exits=exits, azimuth=azimuth).brdf[0]
         np.testing.assert_allclose(found, expected, rtol=1e-6)
-
-
-def test_thin_layer():
-    """Optical depth 1e-8, nothing absorbed: f = p(Θ) τ/(μ μ') between matched media."""
-    exits, azimuth = np.array([0.9, 0.5, 0.5]), np.array([0.0, 1.0, 3.0])
-    found = solve(layers(0.0, 0.0, 1e-8, (1.3,) * 4), 0.7, exits=exits, azimuth=azimuth).brdf[0]
-    cos_theta = -0.7 * exits + np.sqrt((1 - 0.49) * (1 - exits**2)) * np.cos(azimuth)
-    expected = 3 / (16 * np.pi) * (1 + cos_theta**2) * 1e-8 / (0.7 * exits)
-    # Second scattering adds a share of order τ ln(1/τ) = 2e-7.
-    np.testing.assert_allclose(found, expected, rtol=1e-6)
 
 
 @pytest.mark.parametrize("media", [IRIS, (1.336, 1.3, 1.5, 1.4)])
@@ -219,34 +212,25 @@ def undense(scale=1.0):
 
 
 @pytest.mark.parametrize(
-    ("process", "expected"),
+    ("cosine", "exits", "expected"),
     [
-        (ij.DEPTH_RESOLVED, 0.576029249055539),
-        (ij.POLARISED, 0.5761854571345983),
+        (0.003, None, 0.576029249055539),
+        (0.03, [1.0, 0.01], [0.07100689718821734, 3.1961879929511334]),
     ],
-    ids=["scalar", "polarised"],
+    ids=["light", "exits"],
 )
-def test_grazing_light_has_the_panels_that_it_takes(process, expected):
+def test_grazing_directions_have_the_panels_that_they_take(cosine, exits, expected):
     """Grazing light is absorbed near the surface, where one panel was too coarse (5e-4 off).
 
     The expected values are those of twelve panels.
     """
-    solver = ij.RadiativeExact(process=process)
-    found = solve(undense(), 0.003, solver)
+    found = solve(undense(), cosine, ij.RadiativeExact(), exits, exits and [0.0, 0.0])
     assert bool(found.status == ij.RESULTS.successful)
-    found = found.reflectance
-    np.testing.assert_allclose(found, expected, rtol=1e-7)
-    if process == ij.DEPTH_RESOLVED:
+    values = found.reflectance if exits is None else found.brdf[0]
+    np.testing.assert_allclose(values, expected, rtol=1e-7)
+    if exits is None:
         # By an adding-doubling of its own from layers of 1e-9.
-        np.testing.assert_allclose(found, 0.57602924, rtol=3e-8)
-
-
-def test_grazing_exits_have_the_panels_that_they_take():
-    """The expected values are those of twelve panels."""
-    found = solve(undense(), 0.03, ij.RadiativeExact(), exits=[1.0, 0.01], azimuth=[0.0, 0.0])
-    expected = [0.07100689718821734, 3.1961879929511334]
-    np.testing.assert_allclose(found.brdf[0], expected, rtol=1e-7)
-    assert bool(found.status == ij.RESULTS.successful)
+        np.testing.assert_allclose(values, 0.57602924, rtol=3e-8)
 
 
 def test_few_panels_are_refused_where_more_are_taken():
