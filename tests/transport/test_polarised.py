@@ -31,12 +31,12 @@ def solve(made, cosine=1.0, exits=EXITS, azimuth=AZIMUTH, solver=SOLVER):
 
 
 def test_check_slab():
-    """The slab of tests/transport/test_depth_resolved.py; full Stokes theory by Monte Carlo."""
+    """The slab of tests/transport/test_depth_resolved.py, of which scalar theory says 1.7 % less; full
+    Stokes theory by Monte Carlo.
+    """
     made = layers(0.0, 0.18 * 0.2, 0.18 * 0.8, (1.0, 1.0, 1.473 / 1.336, 1.473 / 1.336))
     found = solve(made)
     assert float((found.reflectance + found.mirrored)[0]) == pytest.approx(0.049944, abs=2e-5)
-    # What scalar theory says of it is checked there: 1.7 % less.
-    assert pytest.approx(0.017, abs=5e-4) == 1 - 0.049106509 / 0.049948
 
 
 def test_reference_table():
@@ -160,13 +160,10 @@ def test_along_the_normal_no_direction_is_preferred():
 
 
 def test_scalar_limit():
-    """The polarised solver gives scalar theory's reflectance, and its BRDF in the mean over azimuths,
-    if the phase matrix has its first element alone (half of it for either wave) and all media have
-    one refractive index.
+    """The polarised solver gives scalar theory's fates if the phase matrix has its first element
+    alone (half of it for either wave) and all media have one refractive index.
     """
-    exits, azimuth = np.repeat([0.9, 0.3], 3), np.tile(np.arange(3) * 2 * np.pi / 3, 2)
-    made, lit = layers(*HARD, (1.4, 1.4, 1.4, 1.4)), common.light(0.6, exits, azimuth)
-    scalar = common.solve(ij.RadiativeExact(12, 4, 1), made, 0.6, exits, azimuth)
+    made, lit = layers(*HARD, (1.4, 1.4, 1.4, 1.4)), common.light(0.6)
     halves = tuple(0.5 * x for x in MODES[0].strength)
 
     def linear(mu):
@@ -174,10 +171,9 @@ def test_scalar_limit():
 
     mode = PolarisedMode(0, halves, (1, 1, 1), linear, None, None, None)
     found = quick_jit(lambda x: solve_polarised(x, lit, 12, (4, 1), (mode,))[0])(made)
+    scalar = quick_jit(lambda x: ij.RadiativeExact(12, 4, 1).solve(x, lit))(made)
     np.testing.assert_allclose(found.reflectance, scalar.reflectance, rtol=1e-12)
     np.testing.assert_allclose(found.ipe, scalar.absorbed.ipe, rtol=1e-12)
-    means = np.reshape(scalar.brdf, (-1, 2, 3)).mean(2)
-    np.testing.assert_allclose(np.asarray(found.brdf)[:, ::3], means, rtol=1e-12)
 
 
 @pytest.mark.parametrize("media", [IRIS, (1.2, 1.5, 1.3, 1.6), TURNING])
