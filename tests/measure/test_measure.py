@@ -67,10 +67,8 @@ def test_result():
     assert r.standard_error is None
     assert bool(r.status == ij.RESULTS.successful)
     np.testing.assert_allclose(np.asarray(r), r.values)
-    without = ij.reflectance(IRIS, GRID, solver=FEW, first_surface=False)
-    first, index = np.asarray(r.values) - np.asarray(without.values), 1.42 / 3 + 1
-    np.testing.assert_allclose(first, ((index - 1.336) / (index + 1.336)) ** 2, rtol=1e-9)
-    np.testing.assert_allclose(first, r.mirrored, rtol=1e-12)
+    index = 1.42 / 3 + 1
+    np.testing.assert_allclose(r.mirrored, ((index - 1.336) / (index + 1.336)) ** 2, rtol=1e-9)
     lines = repr(r).splitlines()
     assert lines[0] == "reflectance"
     assert lines[1].split() == ["wavelength_nm", "reflectance"]
@@ -129,17 +127,17 @@ def test_cornea_settings():
 
 
 def test_brdf_shapes():
-    angle, cosine, azimuth = ij.principal_plane(3)
-    assert angle[1] == 0
+    angle, cosine, azimuth = ij.principal_plane(9)
+    assert angle[4] == 0
     assert (np.asarray(cosine) > 0).all()
     assert float(azimuth[0]) == pytest.approx(np.pi)
     seen = {"azimuth": azimuth, "solver": FEW}
     f = ij.brdf(IRIS, GRID, cos_incidence=0.5, cos_exit=cosine, **seen)
-    assert f.values.shape == (81, 3)
-    assert repr(f) == "Brdf of shape (81, 3) (wavelengths, exits), 1/sr"
+    assert f.values.shape == (81, 9)
+    assert repr(f) == "Brdf of shape (81, 9) (wavelengths, exits), 1/sr"
     values = np.asarray(f.values)
     np.testing.assert_allclose(values, values[:, ::-1], rtol=1e-12)
-    assert ij.brdf(IRIS, GRID, cos_exit=0.5, **seen).values.shape == (81, 3)
+    assert ij.brdf(IRIS, GRID, cos_exit=0.5, **seen).values.shape == (81, 9)
     # ILIT's BRDF is a product of functions of the incidence and of the exit.
     ratio = np.asarray(ij.brdf(IRIS, GRID, cos_exit=cosine, **seen).values) / values
     np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-12)
@@ -233,6 +231,26 @@ def test_observers_and_illuminants_are_colour_sciences():
         np.testing.assert_array_equal(table[1:], theirs.values.T.reshape(len(table) - 1, -1))
     assert len(tables) == len(cs.SDS_ILLUMINANTS) + 4
     np.testing.assert_array_equal(colour._BRADFORD, cs.CHROMATIC_ADAPTATION_TRANSFORMS["Bradford"])
+
+
+def test_light_collected_from_a_cone():
+    """A mean of the BRDF over the cone, the same in an inversion."""
+    seen = {"cos_incidence": 0.7, "aperture": 0.5}
+    read = np.asarray(ij.reflectance(IRIS, GRID, solver=FEW, **seen).values)
+    sine2 = (np.arange(9) + 0.5) / 9 * (0.5 / 1.336) ** 2
+    cosine = np.sqrt(1 - sine2)  # this process's light is the same all round
+    f = ij.brdf(IRIS, GRID, cos_incidence=0.7, cos_exit=cosine, solver=FEW)
+    np.testing.assert_allclose(read, np.pi * np.asarray(f.values).mean(1), rtol=5e-4)
+    problem = ij.problem(
+        ij.spectrum(GRID, read, **seen), base=IRIS, solver=FEW, free=["melanin_load"]
+    )
+    z = problem.standard({"melanin_load": IRIS.melanin_load})
+    predict = jax.jit(lambda x: jax.jvp(lambda y: problem.predict(y)[0], (x,), (jnp.ones(1),)))
+    (low, _), (middle, slope), (high, _) = (
+        map(np.asarray, predict(z + d)) for d in (-1e-4, 0, 1e-4)
+    )
+    np.testing.assert_allclose(middle, read, rtol=1e-12)
+    np.testing.assert_allclose(slope, (high - low) / 2e-4, rtol=1e-4)
 
 
 def test_what_has_no_aperture():

@@ -17,7 +17,6 @@ SHAPES = {
     "gaussian": lambda x: np.exp(-4 * np.log(2) * x**2),
     "boxcar": lambda x: float(abs(x) <= 0.5),
 }
-FEW = ij.IlitExact(12, process=ij.ILIT_CORRECTED)  # compiles soonest of those with a BRDF
 CLOSED = KubelkaMunk()
 LOW = ij.Iris.of_level("low")
 
@@ -143,24 +142,3 @@ def test_bands_from_files(tmp_path):
     ):
         with pytest.raises(ValueError, match=said):
             bands(text)
-
-
-def test_light_collected_from_a_cone():
-    """A mean of the BRDF over the cone, the same in an inversion."""
-    iris = ij.Iris.of_level("moderate")
-    seen = {"cos_incidence": 0.7, "aperture": 0.5}
-    read = np.asarray(ij.reflectance(iris, GRID, solver=FEW, **seen).values)
-    sine2 = (np.arange(8) + 0.5) / 8 * (0.5 / 1.336) ** 2
-    cosine = np.sqrt(1 - sine2)  # this process's light is the same all round
-    f = ij.brdf(iris, GRID, cos_incidence=0.7, cos_exit=cosine, solver=FEW)
-    np.testing.assert_allclose(read, np.pi * np.asarray(f.values).mean(1), rtol=5e-4)
-    problem = ij.problem(
-        ij.spectrum(GRID, read, **seen), base=iris, solver=FEW, free=["melanin_load"]
-    )
-    z = problem.standard({"melanin_load": iris.melanin_load})
-    predict = jax.jit(lambda x: jax.jvp(lambda y: problem.predict(y)[0], (x,), (jnp.ones(1),)))
-    (low, _), (middle, slope), (high, _) = (
-        map(np.asarray, predict(z + d)) for d in (-1e-4, 0, 1e-4)
-    )
-    np.testing.assert_allclose(middle, read, rtol=1e-12)
-    np.testing.assert_allclose(slope, (high - low) / 2e-4, rtol=1e-4)
