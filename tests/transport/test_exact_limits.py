@@ -58,27 +58,6 @@ def test_matched_media_to_interface(name):
     )
 
 
-@pytest.mark.parametrize("name", ["lb06-retest", "rayleigh-retest", "retest-redrawn"])
-def test_matched_media_retested_without_absorption(name):
-    """Nothing absorbs: what enters leaves above or below, and the more the more the stroma
-    scatters.
-    """
-    r = solve(PROCESSES[name], 0.0, 0.0, np.array([0.01, 0.1, 1.0, 10.0]), MATCHED)
-    np.testing.assert_allclose(r.reflectance + r.absorbed.ipe, 1, rtol=1e-12)
-    assert (np.diff(r.reflectance) > 0).all()
-    assert r.reflectance[0] == pytest.approx((1 - 2 * expn(3, 0.01)) / 2, rel=0.05)
-
-
-@pytest.mark.parametrize("name", ILIT)
-def test_opaque_abl(name):
-    mirrored = float(fresnel_at(jnp.asarray(1.0), jnp.asarray(IRIS[0]), jnp.asarray(IRIS[1]))[0])
-    for depth in (200.0, 1e6):
-        r = solve(PROCESSES[name], depth, 0.1, 0.2)
-        assert r.reflectance[0] < 1e-80
-        assert r.mirrored[0] == pytest.approx(mirrored, rel=1e-13)
-        assert r.absorbed.abl[0] == pytest.approx(1 - mirrored, rel=1e-13)
-
-
 @pytest.mark.parametrize("name", PROCESSES)
 def test_grazing_incidence(name):
     r = solve(PROCESSES[name], 0.1, 0.1, 0.2, cosine=0.0)
