@@ -26,9 +26,12 @@ def brdf(depths, indices, cos_incidence, cos_exit, azimuth, photons, seed, spot=
     depth, albedo = absorption + scattering, scattering / (absorption + scattering)
     rng = np.random.default_rng(seed)
     aqueous, _, stroma, _ = indices
-    floor, (back, through) = _floor(indices), _roof(abl, indices)
+    back, through = _roof(abl, indices)
 
-    inside = _refracted(cos_exit, aqueous, stroma)
+    def floor(cosine):
+        return fresnel(cosine, indices[2], indices[3])
+
+    inside = refracted(cos_exit, aqueous, stroma)
     sine = np.sqrt(1 - inside**2)
     seen = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), -inside])
     down = seen * np.array([1, 1, -1])[:, None]
@@ -38,7 +41,7 @@ def brdf(depths, indices, cos_incidence, cos_exit, azimuth, photons, seed, spot=
     bright = bright * (aqueous / stroma) ** 2 / inside
 
     # Transmission of the ABL is the same both ways along one ray.
-    start = _refracted(np.asarray(cos_incidence), aqueous, stroma)
+    start = refracted(np.asarray(cos_incidence), aqueous, stroma)
     weight = np.full(photons, through(start))
     direction = np.tile([np.sqrt(1 - start**2), 0, start], (photons, 1))
     aside = np.zeros((photons, 2))
@@ -93,21 +96,17 @@ def _scattered(direction, rng):
     return new
 
 
-def _refracted(cosine, here, beyond):
+def refracted(cosine, here, beyond):
     """Cosine beyond an interface; 0 for total reflection."""
     return np.sqrt(np.maximum(1 - (here / beyond) ** 2 * (1 - cosine**2), 0))
 
 
-def _fresnel(cosine, here, beyond):
+def fresnel(cosine, here, beyond):
     """Reflectance of unpolarised light."""
-    other = _refracted(cosine, here, beyond)
+    other = refracted(cosine, here, beyond)
     across = (here * cosine - beyond * other) / (here * cosine + beyond * other)
     along = (beyond * cosine - here * other) / (beyond * cosine + here * other)
     return (across**2 + along**2) / 2
-
-
-def _floor(indices):
-    return lambda cosine: _fresnel(cosine, indices[2], indices[3])
 
 
 def _roof(depth, indices):
@@ -115,9 +114,9 @@ def _roof(depth, indices):
     aqueous, abl, stroma, _ = indices
 
     def parts(cosine):
-        inner = np.maximum(_refracted(cosine, stroma, abl), 1e-9)  # where it is 0, no 0/0
+        inner = np.maximum(refracted(cosine, stroma, abl), 1e-9)  # where it is 0, no 0/0
         survival = np.exp(-depth / inner)
-        low, high = _fresnel(cosine, stroma, abl), _fresnel(inner, abl, aqueous)
+        low, high = fresnel(cosine, stroma, abl), fresnel(inner, abl, aqueous)
         series = 1 / (1 - low * high * survival**2)
         back = low + (1 - low) ** 2 * survival**2 * high * series
         return back, (1 - low) * survival * (1 - high) * series

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from next_event import fresnel, refracted
 
 import irisjax as ij
 from common import quick_jit
@@ -81,11 +82,7 @@ def stacked(first, second):
 
 
 def interface(cosine, n_in, n_out):
-    sine = n_in / n_out * np.sqrt(1 - cosine**2)
-    beyond = np.sqrt(np.maximum(1 - sine**2, 0))
-    s = (n_in * cosine - n_out * beyond) / (n_in * cosine + n_out * beyond)
-    p = (n_out * cosine - n_in * beyond) / (n_out * cosine + n_in * beyond)
-    mirror = np.where(sine >= 1, 1.0, (s**2 + p**2) / 2)
+    mirror = fresnel(cosine, n_in, n_out)
     return [np.diag(x) for x in (mirror, 1 - mirror, mirror, 1 - mirror)]
 
 
@@ -131,27 +128,17 @@ def transmittance_apart(layers, k, cosine_outside):
     mu = np.append(np.concatenate(cosine), inside)
     weight = np.append(np.concatenate(weight), 0.0)
 
-    def along(medium):  # the same rays elsewhere; where they cannot be, any cosine will do
-        return np.sqrt(np.maximum(1 - (stroma / medium) ** 2 * (1 - mu**2), 1e-12))
-
-    outside, in_abl, in_ipe = along(aqueous), along(abl), along(ipe)
+    outside, in_abl, in_ipe = (refracted(mu, stroma, medium) for medium in (aqueous, abl, ipe))
     depths = layers.abl_absorption, layers.stroma_absorption, layers.stroma_scattering
     a, b, c, d = (float(x[k]) for x in (*depths, layers.ipe_absorption))
     pile = [interface(outside, aqueous, abl), absorber(a, in_abl), interface(in_abl, abl, stroma)]
     pile += [scatterer(b, c, mu, weight), interface(mu, stroma, ipe)]
     pile += [absorber(d, in_ipe), interface(in_ipe, ipe, aqueous)]
-    total = np.sqrt(1 - mu**2) * stroma >= aqueous  # cannot be outside: all is mirrored there
-    for j in (0, -1):
-        pile[j] = [np.where(total, e, m) for e, m in zip(_mirror(len(mu)), pile[j], strict=True)]
     whole = pile[0]
     for layer in pile[1:]:
         whole = stacked(whole, layer)
     back, on = whole[0][:, -1].sum(), whole[1][:, -1].sum()
     return back - pile[0][0][-1, -1], on
-
-
-def _mirror(n):
-    return np.eye(n), np.zeros((n, n)), np.eye(n), np.zeros((n, n))
 
 
 @pytest.mark.parametrize("k", range(3))
