@@ -16,6 +16,7 @@ from irisjax.measure.colour import agx_encode, illuminant_power, srgb_encode
 IRIS = ij.Iris.of_level("moderate")
 GRID = ij.wavelengths(380, 780, 5)
 FEW = ij.IlitExact(12, process=ij.ILIT_CORRECTED)  # compiles soonest of those with a BRDF
+CLOSED = KubelkaMunk()  # where the spectrum is not the point
 
 
 def read(iris):
@@ -78,7 +79,7 @@ def test_result():
 
 def test_jit_vmap_checkpoint_and_grad():
     """The derivative in reverse, with values computed again, is that of differences."""
-    _, irides = all_irides()
+    irides = jax.tree.map(np.asarray, all_irides()[1])  # whose parts compile nothing
 
     def measured(iris):
         found = read(iris)
@@ -86,16 +87,17 @@ def test_jit_vmap_checkpoint_and_grad():
 
     reverse = jax.value_and_grad(jax.checkpoint(measured), has_aux=True)
     (_, batch), slope = quick_jit(jax.vmap(reverse))(irides)
-    leaves, structure = jax.tree.flatten(jax.tree.map(lambda x: np.asarray(x[0]), irides))
+    slope = jax.tree.map(np.asarray, slope)
+    leaves, structure = jax.tree.flatten(jax.tree.map(lambda x: x[0], irides))
     for i, leaf in enumerate(leaves):
         step = np.where(np.arange(len(leaves)) == i, 1e-6 * leaf, 0.0)
-        high, low = (read(structure.unflatten(leaves + s)).values.sum() for s in (step, -step))
+        high, low = (np.sum(read(structure.unflatten(leaves + s))) for s in (step, -step))
         found = jax.tree.leaves(slope)[i][0] * step[i]
         np.testing.assert_allclose(found, (high - low) / 2, rtol=1e-6, atol=1e-13)
     assert repr(batch) == "reflectance, batch of shape (9, 81)"
     for i in (0, 8):
         one = jax.tree.map(lambda x, i=i: x[i], irides)
-        np.testing.assert_allclose(batch.values[i], read(one).values, rtol=1e-12)
+        np.testing.assert_allclose(np.asarray(batch.values)[i], read(one).values, rtol=1e-12)
     assert (slope.eumelanin < 0).all()
     assert (slope.base_index != 0).all()
 
@@ -106,8 +108,8 @@ def test_radiance_factor():
     assert lit.unit == "relative/sr"
     through, inside = ij.Media().inward(0.5)
     bare = ij.reflectance(IRIS, GRID, cos_incidence=inside, solver=FEW).values
-    factor = np.pi * np.asarray(lit.values) / illuminant_power("A", GRID)
-    np.testing.assert_allclose(factor / bare, float(through), rtol=1e-12)
+    factor = np.pi * np.asarray(lit.values) / np.asarray(illuminant_power("A", GRID))
+    np.testing.assert_allclose(factor / np.asarray(bare), float(through), rtol=1e-12)
     assert illuminant_power("A", np.array([560.0]))[0] == 1
     with pytest.raises(ValueError, match="unknown illuminant 'Z'"):
         ij.radiance(IRIS, GRID, illuminant="Z")
@@ -146,10 +148,11 @@ def test_brdf_shapes():
 def test_colour_against_colour_science():
     import colour as cs
 
-    whole = ij.colour(ij.Iris.of_level("low"), solver=FEW)
+    whole = ij.colour(ij.Iris.of_level("low"), solver=CLOSED)
     for level, illuminant in (("low", "D65"), ("high", "A"), ("moderate", "D50")):
         # colour counts the end points whole, the trapezoidal rule by half: leave them out.
-        values = np.asarray(read(ij.Iris.of_level(level)).values) * np.r_[0.0, np.ones(79), 0.0]
+        spectrum = ij.reflectance(ij.Iris.of_level(level), GRID, solver=CLOSED)
+        values = np.asarray(spectrum.values) * np.r_[0.0, np.ones(79), 0.0]
         found = ij.colour_of(GRID, values, illuminant=illuminant)
         if illuminant == "D65":
             np.testing.assert_allclose(whole.xyz, found.xyz, rtol=3e-4)
@@ -209,9 +212,9 @@ def test_colour_errors():
 def test_lighter_iris_is_lighter_and_bluer():
     def lightness(eumelanin):
         iris = ij.Iris.of_level("low").replace(eumelanin=eumelanin)
-        return ij.colour(iris, solver=KubelkaMunk()).lab[0]
+        return ij.colour(iris, solver=CLOSED).lab[0]
 
-    low, high = (ij.colour(ij.Iris.of_level(x), solver=FEW) for x in ("low", "high"))
+    low, high = (ij.colour(ij.Iris.of_level(x), solver=CLOSED) for x in ("low", "high"))
     assert low.lab[0] > high.lab[0]
     assert low.lab[2] < 0
     slope = quick_jit(jax.grad(lightness))(0.12)
