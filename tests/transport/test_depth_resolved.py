@@ -205,7 +205,7 @@ UNDENSE = {
 
 
 @quick_jit
-def undense(scale=1.0):
+def undense(scale):
     """Layers of such an iris at 450 nm."""
     iris = ij.Iris(**UNDENSE).replace(scattering_scale=scale)
     return iris.layers(ij.extinction(np.array([450.0])), 1.336)
@@ -224,7 +224,7 @@ def test_grazing_directions_have_the_panels_that_they_take(cosine, exits, expect
 
     The expected values are those of twelve panels.
     """
-    found = solve(undense(), cosine, ij.RadiativeExact(), exits, exits and [0.0, 0.0])
+    found = solve(undense(1.0), cosine, ij.RadiativeExact(), exits, exits and [0.0, 0.0])
     assert bool(found.status == ij.RESULTS.successful)
     values = found.reflectance if exits is None else found.brdf[0]
     np.testing.assert_allclose(values, expected, rtol=1e-7)

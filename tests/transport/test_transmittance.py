@@ -25,9 +25,10 @@ SOLVERS = {
 COSINE = 0.8
 
 
-def layers_with(mass):
-    iris = PALE if mass is None else PALE.replace(ipe_melanin=mass)
-    return iris.layers(extinction(WAVES))
+@functools.cache
+def translucent():
+    """Layers whose pigment epithelium lets light through."""
+    return quick_jit(ij.Iris.layers)(PALE.replace(ipe_melanin=0.5), extinction(WAVES))
 
 
 # The programs of these give the derivatives too.
@@ -143,7 +144,7 @@ def transmittance_apart(layers, k, cosine_outside):
 
 @pytest.mark.parametrize("k", range(3))
 def test_adding_doubling_written_apart(k):
-    layers = layers_with(0.5)
+    layers = translucent()
     reflected, transmitted = transmittance_apart(layers, k, COSINE)
     for name, near in (("radiative", 1e-7), ("doubling", 2e-6)):
         found = solved(name, 0.5)
@@ -171,7 +172,7 @@ def test_polarisation_changes_little_of_it():
 
 def test_photons_of_radiative_transfer():
     photons = ij.MonteCarlo(100_000, process=ij.DEPTH_RESOLVED)
-    found = quick_jit(photons.solve)(layers_with(0.5), ij.Light(COSINE), key=jax.random.key(3))
+    found = quick_jit(photons.solve)(translucent(), ij.Light(COSINE), key=jax.random.key(3))
     check_photons(found.transmitted, found.transmitted_error, found, "radiative")
     np.testing.assert_allclose(found.energy, 1, rtol=1e-12)
 
@@ -195,7 +196,7 @@ def test_derivatives(name):
 def test_who_has_a_black_epithelium_says_so():
     solver = quickest(PALE, 1.336, ij.ILIT_2006)
     with pytest.raises(ValueError, match="black pigment epithelium; one with ipe_melanin takes"):
-        solver.solve(layers_with(0.5), ij.Light(1.0))
+        solver.solve(translucent(), ij.Light(1.0))
 
 
 def test_the_instrument_and_photons_of_ilit():
