@@ -1,6 +1,7 @@
 import dataclasses
 import functools
 import os
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -204,19 +205,12 @@ def _counts(process):
 
 
 @pytest.mark.peer  # three processes, each compiling for itself
-def test_processes_do_not_change_counts(unused_port):
+def test_processes_do_not_change_counts():
     """Devices of one process do not either: tests/on_four_devices.py."""
-    address = f"127.0.0.1:{unused_port}"
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        address = "127.0.0.1:" + str(unused.getsockname()[1])
     alone = _counts(_start(address, 1, 0))
     pair = [_start(address, 2, place) for place in range(2)]
     assert len(alone) == 2
     assert [_counts(process) for process in pair] == [alone, alone]
-
-
-@pytest.fixture
-def unused_port():
-    import socket
-
-    with socket.socket() as s:
-        s.bind(("127.0.0.1", 0))
-        return s.getsockname()[1]
