@@ -56,6 +56,17 @@ def test_the_dark_rim_goes_on_where_the_white_shines_through_it():
     assert filled[26:62, 24:30].mean() == pytest.approx(0, abs=0.3)
 
 
+def test_a_mirror_image_that_was_taken_for_iris_does_not_come_again():
+    """Beside it the iris is as it is beside what is hidden."""
+    layers = np.random.default_rng(4).normal(size=(1, ANGLES, RADII))
+    layers[0, 98:148] = layers[0, 50:100]
+    layers[0, 115:130, 15:25] = 20.0
+    hidden = np.zeros((ANGLES, RADII), bool)
+    hidden[60:90, 10:30] = True
+    filled = fill_by_texture(np.where(hidden, 9.0, layers), hidden)[0]
+    assert filled[hidden].max() < 6
+
+
 def test_a_lid_over_an_iris_whose_edges_are_hidden_leaves_no_seam():
     """Pupil and white hide both edges all round: with the lid's they are one region, a ring."""
     layers = 5 * np.sin(ANGLE + 0 * RADIUS)[None]
