@@ -55,6 +55,26 @@ No.,Name,Illuminant,{}
 1,left eye,D65,{}
 2,left eye,D65,{}
 """
+JCAMP = """##TITLE=iris
+##JCAMP-DX=4.24
+##XUNITS={unit}
+##YUNITS={y}
+##FIRSTX={x[0]}
+##LASTX={x[5]}
+##NPOINTS=6
+##XFACTOR=1.0
+##YFACTOR=1.0
+##XYPOINTS=(XY..XY)
+{rows}
+##END=
+"""
+
+
+def jcamp(y, values, unit="NANOMETERS", x=X):
+    return JCAMP.format(unit=unit, y=y, x=x, rows=rows(", ", x, values))
+
+
+OFFICE = "Wellenlänge;Remission (%)\r\n" + rows(";", X, 100 * Y, decimal=",")
 AVANTES = rows(";", X, COUNTS, 0 * X + 1000, 0 * X + 31000, 100 * Y, decimal=",")
 LAYOUTS = {
     "OceanView": OCEAN_VIEW.format(rows=rows("\t", X, 100 * Y)),
@@ -66,26 +86,30 @@ LAYOUTS = {
         ",".join(f"{x:.0f}nm" for x in X), rows(",", *zip(99 * Y)), rows(",", *zip(101 * Y))
     ),
     "a number first": "no,wavelength (nm),reflectance (%)\n" + rows(",", np.arange(6), X, 100 * Y),
+    "JCAMP, micrometres": jcamp("REFLECTANCE", Y, "MICROMETERS", X / 1000),
+    "JCAMP, wavenumbers": jcamp("REFLECTANCE", Y, "1/CM", 1e7 / X),
+    "JCAMP, per cent": jcamp("% REFLECTANCE", 100 * Y),
+    "cp1252": OFFICE,
+    "utf-16": OFFICE,
+    "utf-16-le": OFFICE,
+} | {
+    name: f"{name},R\n" + rows(",", 1e7 / X, Y)
+    for name in ("cm-1", "wavenumber (cm^-1)", "1/cm", "Wavenumber [cm⁻¹]")
 }
 
 
-def written(tmp_path, text, encoding="utf-8", name="s.txt"):
-    path = tmp_path / name
+def written(tmp_path, text, encoding="utf-8"):
+    path = tmp_path / "s.txt"
     path.write_bytes(text.encode(encoding))
     return path
 
 
 @pytest.mark.parametrize("name", LAYOUTS)
 def test_layouts_of_instruments(tmp_path, name):
-    found = io.read_measured(written(tmp_path, LAYOUTS[name]))
-    np.testing.assert_allclose(found.wavelengths, X)
-    np.testing.assert_allclose(found.values, Y, rtol=1e-5)
-
-
-@pytest.mark.parametrize("encoding", ["cp1252", "utf-16", "utf-16-le"])
-def test_encodings_of_offices(tmp_path, encoding):
-    text = "Wellenlänge;Remission (%)\r\n" + rows(";", X, 100 * Y, decimal=",")
+    text = LAYOUTS[name]
+    encoding = name if name.startswith(("cp", "utf")) else "utf-8"
     found = io.read_measured(written(tmp_path, text, encoding))
+    np.testing.assert_allclose(found.wavelengths, X, rtol=1e-5)
     np.testing.assert_allclose(found.values, Y, rtol=1e-5)
 
 
@@ -114,68 +138,16 @@ def test_missing_values_are_skipped_and_counted(tmp_path):
     assert "3 of 5 wavelengths without a value skipped" in found.notes
 
 
-JCAMP = """##TITLE=iris
-##JCAMP-DX=4.24
-##XUNITS={unit}
-##YUNITS={y}
-##FIRSTX={x[0]}
-##LASTX={x[2]}
-##NPOINTS=3
-##XFACTOR=1.0
-##YFACTOR=1.0
-##XYPOINTS=(XY..XY)
-{rows}
-##END=
-"""
-
-
-def jcamp(y, values, unit="NANOMETERS", x=X[:3]):
-    return JCAMP.format(unit=unit, y=y, x=x, rows=rows(", ", x, values[:3]))
-
-
-@pytest.mark.parametrize(
-    ("unit", "x", "y", "scale"),
-    [
-        ("MICROMETERS", X[:3] / 1000, "REFLECTANCE", 1),
-        ("1/CM", 1e7 / X[:3], "REFLECTANCE", 1),
-        ("NANOMETERS", X[:3], "% REFLECTANCE", 100),
-    ],
-)
-def test_jcamp(tmp_path, unit, x, y, scale):
-    found = io.read_measured(written(tmp_path, jcamp(y, scale * Y[:3], unit, x), name="s.jdx"))
-    np.testing.assert_allclose(found.wavelengths, X[:3], rtol=1e-5)
-    np.testing.assert_allclose(found.values, Y[:3], rtol=1e-5)
-    with pytest.raises(ValueError, match="XUNITS"):
-        io.read_measured(written(tmp_path, jcamp("R", Y, "ARBITRARY")))
-
-
 def test_jcamp_in_differences_with_repetitions(tmp_path):
     # 31, 31, 12 times 33, 30, 30: the first value of a line repeats the last one.
     lines = ("##XYDATA=(X++(Y..Y))", "400C1%K%S1", "413C3lT")
-    text = jcamp("REFLECTANCE", Y).replace("##NPOINTS=3", "##NPOINTS=16")
-    text = text.replace("YFACTOR=1.0", "YFACTOR=0.001").replace("LASTX=500.0", "LASTX=415.0")
+    text = jcamp("REFLECTANCE", Y).replace("##NPOINTS=6", "##NPOINTS=16")
+    text = text.replace("YFACTOR=1.0", "YFACTOR=0.001").replace("LASTX=650.0", "LASTX=415.0")
     text = re.sub(r"##XYPOINTS.*\n##END", "\n".join([*lines, "##END"]), text, flags=re.S)
     found = io.read_measured(written(tmp_path, text))
     np.testing.assert_allclose(1000 * found.values, [31, 31] + 12 * [33] + [30, 27])
     with pytest.raises(ValueError, match=r"damaged .* Y-Check failed"):
         io.read_measured(written(tmp_path, text.replace("413C3", "413C4")))
-
-
-def test_absorbance_and_kubelka_munk_are_converted(tmp_path):
-    r = Y[:3]
-    absorbance, ks = -np.log10(r), (1 - r) ** 2 / (2 * r)
-    for text, said in (
-        (jcamp("ABSORBANCE", absorbance), "absorbance"),
-        ("nm,Absorbance\n" + rows(",", X[:3], absorbance), "absorbance"),
-        ("nm,log(1/R)\n" + rows(",", X[:3], absorbance), "absorbance"),
-        ("nm,K/S\n" + rows(",", X[:3], ks), "kubelka-munk"),
-        (jcamp("KUBELKA-MUNK", ks), "kubelka-munk"),
-    ):
-        found = io.read_measured(written(tmp_path, text))
-        np.testing.assert_allclose(found.values, r, rtol=1e-4)
-        assert said in found.notes[0] and "converted" in found.notes[0]
-    bare = written(tmp_path, rows(",", X[:3], absorbance))
-    np.testing.assert_allclose(io.read_measured(bare, quantity="absorbance").values, r, rtol=1e-4)
 
 
 @pytest.mark.parametrize(("quantity", "y"), [("absorbance", 1.5), ("kubelka-munk", 14.0)])
@@ -192,6 +164,7 @@ def test_standard_deviations_are_converted_too(tmp_path, quantity, y):
 GRID = np.arange(400.0, 701.0, 10)
 R = np.interp(GRID, [400, 450, 550, 700], [0.034, 0.042, 0.026, 0.018])
 SD = 0.03 * R
+ABSORBANCE, KS = -np.log10(R), (1 - R) ** 2 / (2 * R)
 BLOCK = """##TITLE={title}
 ##JCAMP-DX=5
 ##DATA TYPE=UV/VIS SPECTRUM
@@ -249,11 +222,21 @@ def table(names, *columns, sep=",", **how):
     return names + "\n" + rows(sep, GRID, *columns, **how)
 
 
+def each(form, separator="\n"):
+    """A text for each wavelength x of its reflectance y, standard deviation s and percentage p."""
+    numbers = zip(GRID, R, SD, 100 * R, strict=True)
+    return separator.join(
+        form.format(i=i, x=x, y=y, s=s, p=p) for i, (x, y, s, p) in enumerate(numbers, 1)
+    )
+
+
 def role(text, said="", *, has_sd=False, **asked):
     """Make a case: a file, how it is read, whether an sd is found, and what is said."""
     return text, asked, has_sd, said
 
 
+ABSORBED = "absorbance log10(1/R) converted to reflectance"
+REMITTED = "kubelka-munk (1 - R)²/2R converted to reflectance"
 ROLES = {
     "sd in a name": role(table("wavelength,reflectance,reflectance_sd", R, SD), has_sd=True),
     "StdDev": role(table("wavelength,reflectance,StdDev", R, SD), has_sd=True),
@@ -300,12 +283,11 @@ ROLES = {
         cary(("Baseline", 30 * R), ("eye", R), ("iris", 2 * R)), "'eye %R' used", column="eye"
     ),
     "JASCO": role(
-        "試料\t右眼\nXUNITS\tNANOMETERS\nYUNITS\tABSORBANCE\nXYDATA\n" + rows("\t", GRID, -np.log10(R))
+        "試料\t右眼\nXUNITS\tNANOMETERS\nYUNITS\tABSORBANCE\nXYDATA\n" + rows("\t", GRID, ABSORBANCE)
         + "\n[コメント情報]\n", "absorbance"
     ),
     "Shimadzu": role(
-        '"eye"\n"Wavelength nm.","R%"\n'
-        + "\n".join(f'"{x:.2f}","{100 * y:.5f}"' for x, y in zip(GRID, R, strict=True))
+        '"eye"\n"Wavelength nm.","R%"\n' + each('"{x:.2f}","{p:.5f}"')
     ),
     "PerkinElmer": role(PERKIN_ELMER.format(unit="%R", rows=rows("\t", GRID, 100 * R))),
     "a library of spectra": role(
@@ -322,8 +304,7 @@ ROLES = {
     ),
     "CGATS": role(
         CGATS.format(
-            names="\t".join(f"SPECTRAL_NM_{x:.0f}" for x in GRID),
-            values="\t".join(f"{v:.6g}" for v in R),
+            names=each("SPECTRAL_NM_{x:.0f}", "\t"), values=each("{y:.6g}", "\t")
         )
     ),
     "light beside counts": role(
@@ -351,43 +332,37 @@ ROLES = {
         has_sd=True
     ),
     "quartiles": role(table("nm,median,Q1,Q3,95% CI", R, 0.9 * R, 1.1 * R, R), "'Q1', 'Q3'"),
-    "minus a logarithm": role(table("nm,-log10(R)", -np.log10(R)), "absorbance"),
+    "minus a logarithm": role(table("nm,-log10(R)", ABSORBANCE), ABSORBED),
+    "a logarithm": role(table("nm,log(1/R)", ABSORBANCE), ABSORBED),
+    "absorbance by its option": role(rows(",", GRID, ABSORBANCE), ABSORBED, quantity="absorbance"),
+    "K/S": role(table("nm,K/S", KS), REMITTED),
+    "a block of Kubelka and Munk's": role(blocks(("a", "KUBELKA-MUNK", KS)), REMITTED),
     "absorbance units": role(
         table(
             "Wavelength [nm],Sample,Dark,Reference,Absorbance [A.U.]",
-            900 + R, 900 + 0 * R, 3e4 + R, -np.log10(R)
+            900 + R, 900 + 0 * R, 3e4 + R, ABSORBANCE
         ),
-        "absorbance"
+        ABSORBED
     ),
     "a ratio": role(table("nm,eye,white,eye/white", 0.5 * R, 0.5 + 0 * R, R), "'eye/white' used"),
     "a wavelength in two units": role(
         table("Wavelength;Wavenumber;Dark;%R", 1e7 / GRID, 900 + R, 100 * R, sep=";")
     ),
     "decimal commas in quotes": role(
-        '"nm","R%"\n' + "\n".join(
-            f'"{x}","{100 * y:.6g}"'.replace(".", ",")
-            for x, y in zip(GRID, R, strict=True)
-        )
+        '"nm","R%"\n' + each('"{x}","{p:.6g}"').replace(".", ",")
     ),
     "scans of a numbered eye": role(
         table("nm,eye1 0001,eye1 0002", 1.1 * R, 0.9 * R), "mean of 2 scans", has_sd=True
     ),
     "a unit in each cell": role(
-        "Name;Wellenlänge;Remission\n"
-        + "\n".join(
-            f"eye;{x:.0f} nm;{100 * y:.6g} %".replace(".", ",")
-            for x, y in zip(GRID, R, strict=True)
-        )
+        "Name;Wellenlänge;Remission\n" + each("eye;{x:.0f} nm;{p:.6g} %").replace(".", ",")
     ),
     "R's names of rows": role(
-        '"wavelength" "value"\n'
-        + "\n".join(f'"{i}" {x} {y:.6g}' for i, (x, y) in enumerate(zip(GRID, R, strict=True), 1))
+        '"wavelength" "value"\n' + each('"{i}" {x} {y:.6g}')
     ),
     "a sample in a long table": role(
-        '"","sample","date","wavelength","value","sd"\n' + "\n".join(
-            f'"{i}","eye, left","2024-03-04",{x},{y:.6g},{s:.6g}'
-            for i, (x, y, s) in enumerate(zip(GRID, R, SD, strict=True), 1)
-        ), has_sd=True
+        '"","sample","date","wavelength","value","sd"\n'
+        + each('"{i}","eye, left","2024-03-04",{x},{y:.6g},{s:.6g}'), has_sd=True
     ),
     "one of the samples of a long table": role(
         "id\twavelength\tR (%)\tsd\n"
@@ -404,21 +379,18 @@ ROLES = {
     ),
     "exponents of Fortran": role(
         "nm R\n" + "\n".join(
-            f"{x / 1000:.4f}D+03 {y:.6E}".replace("E", "D")
-            for x, y in zip(GRID, R, strict=True)
+            f"{x / 1000:.4f}D+03 {y:.6E}".replace("E", "D") for x, y in zip(GRID, R, strict=True)
         )
     ),
     "a row with a unit in each cell": role(
-        "Data Name,Time," + ",".join(f"SCE {x:.0f}[nm]" for x in GRID) + "\neye,10:11,"
-        + ",".join(f"{100 * y:.6g}%" for y in R)
+        "Data Name,Time," + each("SCE {x:.0f}[nm]", ",") + "\neye,10:11," + each("{p:.6g}%", ",")
     ),
     "SCI and SCE behind the wavelengths": role(
         "Name;" + ";".join(f"{x:.0f} nm ({kind})" for kind in ("SCI", "SCE") for x in GRID) + "\neye;"
         + ";".join(f"{100 * y:.6g}" for y in (*1.4 * R, *R)), "'eye SCE' used", column="SCE"
     ),
     "remarks beside values": role(
-        "time,wavelength,R,remark\n"
-        + "\n".join(f"10:11:{i:02},{x},{y:.6g},{'blink' * (i == 3)}" for i, (x, y) in enumerate(zip(GRID, R, strict=True)))
+        "time,wavelength,R,remark\n" + each("10:11:{i:02},{x},{y:.6g},") + "blink"
     ),
     "names two lines above": role(
         table("file,a.asd,b.asd\nunit,Reflectance,Reflectance", R, 2 * R),
@@ -511,6 +483,9 @@ def test_binary_formats_are_named(tmp_path, name, data, message):
         io.read_measured(tmp_path / name)
 
 
+NAMES, VALUES = each("{x:.0f}nm", ","), each("{y:.6g}", ",")
+
+
 @pytest.mark.parametrize(
     "text",
     [
@@ -523,10 +498,7 @@ def test_binary_formats_are_named(tmp_path, name, data, message):
         table("nm,R 0°,R 15°", R, 1.1 * R),
         table("nm,scan 1,scan 2", R, 3 * R),
         table("nm,P01,P01_sd,P02,P02_sd", R, SD, 1.1 * R, SD),
-        "Name,Specular,"
-        + ",".join(f"{x:.0f}nm" for x in GRID)
-        + "\n"
-        + "\n".join(f"eye,{kind}," + ",".join(f"{v:.6g}" for v in R) for kind in ("SCI", "SCE")),
+        f"Name,Specular,{NAMES}\neye,SCI,{VALUES}\neye,SCE,{VALUES}",
     ],
 )
 def test_columns_of_several_things_are_no_scans(tmp_path, text):
@@ -562,20 +534,21 @@ def test_eyes_with_their_standard_deviations(tmp_path):
     text = table("nm,left mean,left SEM", R, SD)
     (eye,) = io.read_eyes(written(tmp_path, text)).values()
     np.testing.assert_allclose(eye.sd, SD, rtol=1e-4)
-    names = ",".join(f"{x:.0f}nm" for x in GRID)
-    each = [",".join(f"{v:.6g}" for v in scale * R) for scale in (1.01, 0.99, 0.8)]
-    text = f"No.,Name,{names}\n1,OD,{each[0]}\n2,OD,{each[1]}\n3,OS,{each[2]}\n"
-    found = io.read_eyes(written(tmp_path, text))
-    assert list(found) == ["OD", "OS"]
-    np.testing.assert_allclose(found["OD"].values, R, rtol=1e-4)
-    lines = [
-        f"{eye} {scan} {x} {scale * y:.6g}"
-        for eye, scan, scale in (("leaf1", 1, 1.01), ("leaf1", 2, 0.99), ("leaf2", 1, 0.8))
-        for x, y in zip(GRID, R, strict=True)
+
+
+def test_scans_of_eyes_have_their_mean(tmp_path):
+    """Rows of one name, and lines of one eye in a long table."""
+    scans = {("a", 1): 1.01 * R, ("a", 2): 0.99 * R, ("b", 1): 0.8 * R}
+    wide = [",".join([eye, *map(str, scan)]) for (eye, _), scan in scans.items()]
+    long = [
+        f"{eye} {number} {x} {y:.6g}"
+        for (eye, number), scan in scans.items()
+        for x, y in zip(GRID, scan, strict=True)
     ]
-    found = io.read_eyes(written(tmp_path, "eye scan wavelength R\n" + "\n".join(lines)))
-    assert list(found) == ["leaf1", "leaf2"]
-    np.testing.assert_allclose(found["leaf1"].values, R, rtol=1e-4)
+    for lines in ([f"Name,{NAMES}", *wide], ["eye scan wavelength R", *long]):
+        found = io.read_eyes(written(tmp_path, "\n".join(lines)))
+        assert list(found) == ["a", "b"]
+        np.testing.assert_allclose(found["a"].values, R, rtol=1e-4)
 
 
 BOTH = ",".join(f"{kind} {x:.0f}nm" for kind in ("SCI", "SCE") for x in X)
@@ -602,6 +575,7 @@ BOTH = ",".join(f"{kind} {x:.0f}nm" for kind in ("SCI", "SCE") for x in X)
         ("nm,irradiance (µW/cm²)\n" + rows(",", X, Y), "holds irradiance, not a reflectance"),
         (jcamp("ARBITRARY UNITS", Y), "holds arbitrary units, not a reflectance"),
         (jcamp("COUNTS", COUNTS), "holds counts"),
+        (jcamp("R", Y, "ARBITRARY"), "XUNITS"),
         (f"No.,{BOTH}\n1{',3.1' * 6}{',2.9' * 6}", "'SCI' .*'SCE' .* choose with --column NAME"),
         ("", "no rows of numbers"),
         ("only,a,header\n", "no rows of numbers"),
@@ -666,32 +640,20 @@ def test_a_table_of_eyes(tmp_path):
     assert "holds counts" in str(found["counts"])
 
 
-@pytest.mark.parametrize("name", ["cm-1", "wavenumber (cm^-1)", "1/cm", "Wavenumber [cm⁻¹]"])
-def test_wavenumbers(tmp_path, name):
-    found = io.read_measured(written(tmp_path, f"{name},R\n" + rows(",", 1e7 / X, Y)))
-    np.testing.assert_allclose(found.wavelengths, X, rtol=1e-5)
-    np.testing.assert_allclose(found.values, Y, rtol=1e-5)
-    bare = written(tmp_path, "x,R\n" + rows(",", 1e7 / X, Y))
-    np.testing.assert_allclose(io.read_measured(bare, wavelength_unit="1/cm").wavelengths, X, 1e-5)
-
-
 @pytest.mark.parametrize(
     "text",
     [
-        "wavelength_nm,reflectance\n400,0.02\n500,0.03\n600,0.015\n",
         "400,0.02\n500,0.03\n600,0.015\n",
         "nm\tR\n400\t0.02\n500\t0.03\n600\t0.015\n",
         "400 0.02\n500 0.03\n600 0.015\n",
-        "Wellenlänge;R\n400;0,02\n500;0,03\n600;0,015\n",
         "\ufeffwavelength,reflectance\r\n600,0.015\r\n500,0.03\r\n400,0.02\r\n",
         "# a note\n# level: low\nwavelength (nm),R\n400,0.02\n\n500,0.03\n600,0.015\n",
         "wavelength_um,reflectance\n0.4,0.02\n0.5,0.03\n0.6,0.015\n",
         "0.4,0.02\n0.5,0.03\n0.6,0.015\n",
-        "nm,R (%)\n400,2\n500,3\n600,1.5\n",
         "nm,R,\n400,0.02,\n500,0.03,\n600,0.015,\n",
     ],
-    ids=["plain", "bare", "tabs", "blanks", "german", "bom-crlf-reversed", "comments", "um", "um-by-size", "percent", "trailing"],
-)  # fmt: skip
+    ids=["bare", "tabs", "blanks", "bom-crlf-reversed", "comments", "um", "by-size", "trailing"],
+)
 def test_layouts(tmp_path, text):
     found = io.read_measured(written(tmp_path, text))
     np.testing.assert_allclose(found.wavelengths, [400, 500, 600], rtol=1e-12)
@@ -713,11 +675,11 @@ def test_what_is_guessed_is_said(tmp_path):
     found = io.read_measured(written(tmp_path, "0.4,0.7\n0.5,0.8\n"), **said)
     assert found.notes == ()
     np.testing.assert_allclose(found.values, [0.007, 0.008])
+    bare = written(tmp_path, "x,R\n" + rows(",", 1e7 / X, Y))
+    np.testing.assert_allclose(io.read_measured(bare, wavelength_unit="1/cm").wavelengths, X, 1e-5)
 
 
-def test_standard_deviations_and_repeated_scans(tmp_path):
-    found = io.read_measured(written(tmp_path, "nm,R %,SD\n400,2,0.1\n500,3,0.2\n"))
-    np.testing.assert_allclose(found.sd, [0.001, 0.002])
+def test_repeated_scans(tmp_path):
     rng = np.random.default_rng(0)
     scans = 0.02 + 0.001 * rng.normal(size=(300, 5))
     lines = "\n".join(f"{400 + i},{','.join(map(str, row))}" for i, row in enumerate(scans))
