@@ -12,7 +12,6 @@ from scipy import stats
 from scipy.optimize import least_squares
 
 import irisjax as ij
-from experiments.closed_formulas import KubelkaMunk
 from irisjax.cli.sentences import information_lines
 from irisjax.infer import least_squares as search
 from irisjax.infer.fit import FitStatus, _status, fit, words_for
@@ -28,14 +27,14 @@ KEY = jax.random.key(0, impl="threefry2x32")
 
 @pytest.fixture(scope="module")
 def problem(tabulated):
-    """One form of problem, so that one program serves most tests; the values follow."""
+    """One form of problem, so that two programs serve most tests; the values follow."""
     return ij.problem(ij.spectrum(GRID, np.ones(GRID.size)), solver=tabulated)
 
 
 @pytest.fixture(scope="module")
 def predict(problem):
-    """Noiseless spectra of vectors z."""
-    return jax.jit(jax.vmap(lambda z: problem.predict(z)[0]))
+    """The noiseless spectrum of a vector z."""
+    return jax.jit(lambda z: problem.predict(z)[0])
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +47,7 @@ def measured(problem, predict):
         values = {n: np.clip(v, 1e-12, None) for n, v in of_iris(iris).items()}
         for name in ("abl_fraction", "pheomelanin_share"):
             values[name] = np.clip(values[name], 1e-9, 1 - 1e-9)
-        return seen(problem, predict(problem.standard(values)[None])[0])
+        return seen(problem, predict(problem.standard(values)))
 
     return of
 
@@ -78,10 +77,11 @@ def test_thirty_irides_of_the_priors_are_all_found(problem, predict):
     """Precise noiseless data: two of these ended at chi-squares of 828 and 105 with status ok, and
     of twelve one start in four had found the truth.
     """
-    z = jax.random.normal(jax.random.key(77, impl="threefry2x32"), (300, 5))[105:135]
-    spectra = predict(jnp.pad(z, ((0, 0), (0, 2))))
-    for values in spectra:
-        found = fit(seen(problem, values, Noise(1e-3, 1e-5)), use_priors=False, key=KEY)
+    z = np.zeros((300, 7))
+    z[:, :5] = jax.random.normal(jax.random.key(77, impl="threefry2x32"), (300, 5))
+    for each in z[105:135]:
+        precise = seen(problem, predict(each), Noise(1e-3, 1e-5))
+        found = fit(precise, use_priors=False, key=KEY)
         assert bool(found.ok), words_for(found.status)
         assert float(found.chi_square) < 1e-6
         assert int(found.agreeing) >= 2
@@ -135,17 +135,6 @@ def test_batches_are_single_fits(problem, measured):
     assert together.p_value.shape == (5,)
     for i in (0, 4):
         np.testing.assert_allclose(together.z[i], fit(seen(problem, many[i]), key=KEY).z, atol=1e-3)
-
-
-def test_normal_equations_solve_least_squares():
-    import lineax as lx
-
-    rng = np.random.default_rng(2)
-    a, b = rng.normal(size=(9, 4)), rng.normal(size=9)
-    found = lx.linear_solve(
-        lx.MatrixLinearOperator(jnp.asarray(a)), jnp.asarray(b), NORMAL_EQUATIONS
-    ).value
-    np.testing.assert_allclose(found, np.linalg.lstsq(a, b, rcond=None)[0], rtol=1e-10)
 
 
 @pytest.mark.peer
@@ -202,32 +191,6 @@ def test_misfit_is_no_failed_search(problem, measured):
     assert float(found.p_value) < 1e-6
     with pytest.raises(ValueError, match="does not produce these data"):
         fit(stepped, key=KEY, throw=True)
-
-
-def test_blood_behind_a_slit_in_a_compiled_program():
-    """Data by quadrature over a slit of 20 nm, by which light of single wavelengths would have 6 %
-    too little haemoglobin. A misfit raises here too.
-    """
-    fine, how = np.arange(350.0, 801, 1), {"solver": KubelkaMunk()}
-    spectrum = np.asarray(ij.reflectance(ij.Iris.of_level("low"), fine, **how).values)
-    passed = np.exp(-4 * np.log(2) * ((fine - GRID[:, None]) / 20) ** 2)
-    values = (passed @ spectrum) / passed.sum(1)
-    seen = ij.spectrum(GRID, values, sd=0.005 * values, bands=20.0)
-    stated = ij.problem(seen, fixed={"gain": 1.0, "noise": 1.0}, **how)
-    run = eqx.filter_jit(lambda problem: fit(problem, use_priors=False, starts=1, throw=True))
-    found = run(stated).values
-    assert float(found["hemoglobin"]) == pytest.approx(0.084, rel=0.01)
-    assert float(found["saturation"]) == pytest.approx(0.5, abs=0.01)
-    stepped = with_values(
-        stated.observations[0], jnp.asarray(np.where(GRID < 550, 1, 1.6) * values)
-    )
-    with pytest.raises(RuntimeError, match="does not produce these data"):
-        run(stated.with_observations(stepped))
-
-
-def test_several_searches_need_a_key():
-    with pytest.raises(ValueError, match="starts=4, rounds=1 draw all but the first at random"):
-        search.least_squares(lambda x, weight, args: (x, None), None, jnp.zeros(2), starts=4)
 
 
 def ended(result=optx.RESULTS.successful, **numbers):
@@ -293,3 +256,8 @@ def test_wrong_searches_are_named(problem, options, message):
     # Unchecked: users run the package without the tests' type checks.
     with pytest.raises(ValueError, match=message):
         inspect.unwrap(fit)(problem, **options)
+
+
+def test_several_searches_need_a_key():
+    with pytest.raises(ValueError, match="starts=4, rounds=1 draw all but the first at random"):
+        search.least_squares(lambda x, weight, args: (x, None), None, jnp.zeros(2), starts=4)
