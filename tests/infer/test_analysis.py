@@ -53,31 +53,24 @@ def eyes():
 
 
 @pytest.fixture(scope="module")
-def by_ilit(eyes):
-    """The problem of each spectrum by ILIT, and its fit."""
-    problems = [stated(ij.ILIT_2006).with_observations(eye) for eye in eyes]
-    return [(problem, fit(problem, key=KEY)) for problem in problems]
+def fits(eyes):
+    """The problem of each spectrum by each process, and its fit; processes first."""
+    problems = [[stated(p).with_observations(eye) for eye in eyes] for p in PROCESSES]
+    return [[(problem, fit(problem, key=KEY)) for problem in each] for each in problems]
 
 
 @pytest.fixture(scope="module")
-def by_transfer(eyes):
-    """The same by radiative transfer."""
-    problems = [stated(ij.DEPTH_RESOLVED).with_observations(eye) for eye in eyes]
-    return [(problem, fit(problem, key=KEY)) for problem in problems]
-
-
-@pytest.fixture(scope="module")
-def analysed(by_ilit):
+def analysed(fits):
     """The analysis of the spectrum of ILIT with noise."""
-    problem = by_ilit[0][0]
+    problem, _ = fits[0][0]
     (seen,) = problem.observations
     noisy = seen.values + seen.sd * np.random.default_rng(1).normal(size=GRID.size)
     return analyse(problem.with_observations(with_values(seen, noisy)), **SETTINGS)
 
 
-def test_noise_widens_what_the_data_say_and_not_the_prior(by_ilit):
+def test_noise_widens_what_the_data_say_and_not_the_prior(fits):
     """As a fit whose noise is stated that much larger."""
-    one, narrow = by_ilit[0]
+    one, narrow = fits[0][0]
     (seen,) = one.observations
     larger = one.with_observations(with_values(seen, seen.values, 3 * seen.sd))
     wide = fit(larger, key=KEY)
@@ -92,10 +85,9 @@ def test_noise_widens_what_the_data_say_and_not_the_prior(by_ilit):
 
 
 @pytest.mark.parametrize("maker", [0, 1], ids=["ILIT", "radiative transfer"])
-def test_the_data_prefer_the_process_that_made_them(by_ilit, by_transfer, maker):
-    read = by_ilit, by_transfer
+def test_the_data_prefer_the_process_that_made_them(fits, maker):
     for reader in (0, 1):
-        (problem, own), (other_problem, other) = read[reader][maker], read[1 - reader][maker]
+        (problem, own), (other_problem, other) = fits[reader][maker], fits[1 - reader][maker]
         found = compare_processes(problem, own, other_problem, other)
         assert found.process == other_of(problem.process) == PROCESSES[1 - reader]
         assert found.preferred == (reader != maker)
@@ -131,8 +123,7 @@ def test_an_analysis_of_data_of_the_model_and_of_others(analysed):
     (seen,) = analysed.problem.observations
     stepped = with_values(seen, seen.values * np.where(GRID < 550, 1.0, 1.6))
     problem = analysed.problem.with_observations(stepped)
-    few = sample(problem, analysed.fit, **SETTINGS | {"max_steps": 100})
-    check = predictive_check(problem, few, key=KEY)
+    check = predictive_check(problem, analysed.chains, key=KEY)
     assert check.smooth and not check.passed
     line = sentences.result_warnings(analysed._replace(check=check))[-1]
     assert line.startswith("WARNING: the model does not produce these data: ")
@@ -175,6 +166,10 @@ def test_predictive_score_is_that_of_a_normal_model():
     assert error == pytest.approx(np.sqrt(30) * exact.std(), rel=0.02)
 
 
+def write(analysis, folder):
+    report._write(analysis, folder, [], KEY, lambda *given: lambda: b"")
+
+
 def test_files_of_many_wavelengths_hold_fewer_draws(analysed, tmp_path, monkeypatch):
     """Log likelihoods of all draws of 10,000 wavelengths would be gigabytes; every group keeps the
     same draws.
@@ -185,7 +180,7 @@ def test_files_of_many_wavelengths_hold_fewer_draws(analysed, tmp_path, monkeypa
     monkeypatch.setattr(draws, "_MOST_NUMBERS", most * walkers * GRID.size)
     z = 0.01 * np.random.default_rng(1).normal(size=(250, walkers, len(FREE)))
     chains = analysed.chains._replace(z=z, log_probability=z[..., 0], thin=5, steps=1250)
-    report._write(analysed._replace(chains=chains), tmp_path, [], KEY, lambda *given: lambda: b"")
+    write(analysed._replace(chains=chains), tmp_path)
     loads = {}
     for group in ("posterior", "log_likelihood", "sample_stats"):
         loads[group] = xr.load_dataset(tmp_path / "posterior.nc", group=group, engine="h5netcdf")
@@ -201,9 +196,9 @@ def test_arviz_plots_scores_and_reweights_a_posterior_as_it_is(analysed, tmp_pat
     import matplotlib.pyplot as plt
     from scipy.stats import lognorm, norm
 
-    chains = analysed.chains._replace(z=analysed.chains.z[:40])
-    chains = chains._replace(log_probability=analysed.chains.log_probability[:40])
-    report._write(analysed._replace(chains=chains), tmp_path, [], KEY, lambda *given: lambda: b"")
+    whole = analysed.chains
+    chains = whole._replace(z=whole.z[:40], log_probability=whole.log_probability[:40])
+    write(analysed._replace(chains=chains), tmp_path)
     direct = ij.infer.to_arviz(analysed.problem, chains, key=KEY)
     found = az.from_netcdf(tmp_path / "posterior.nc")
     np.testing.assert_array_equal(found.log_likelihood.wavelength_nm, GRID)

@@ -137,6 +137,16 @@ def test_batches_are_single_fits(problem, measured):
         np.testing.assert_allclose(together.z[i], fit(seen(problem, many[i]), key=KEY).z, atol=1e-3)
 
 
+def test_normal_equations_solve_least_squares():
+    import lineax as lx
+
+    rng = np.random.default_rng(2)
+    a, b = rng.normal(size=(9, 4)), rng.normal(size=9)
+    operator = lx.MatrixLinearOperator(jnp.asarray(a))
+    found = lx.linear_solve(operator, jnp.asarray(b), NORMAL_EQUATIONS).value
+    np.testing.assert_allclose(found, np.linalg.lstsq(a, b, rcond=None)[0], rtol=1e-10)
+
+
 @pytest.mark.peer
 def test_ridge_is_found_and_said(measured):
     """Load and fraction correlate at −0.9 or worse; their product is known better than either."""
