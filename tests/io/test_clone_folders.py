@@ -12,25 +12,23 @@ SCENE = '[iris]\nlevel = "low"\n[maps]\nuniform = true\n[eye]\ncornea = "none"\n
 SCENE += "[camera]\nsize = [8, 6]\n[picture]\nexposure = 2.0\n"
 
 
-@pytest.fixture
-def encoded():
-    return np.random.default_rng(0).uniform(size=(6, 8, 3))
+ENCODED = np.random.default_rng(0).uniform(size=(6, 8, 3))
 
 
 @pytest.fixture
-def folder(tmp_path, encoded):
+def folder(tmp_path):
     summary = {"photograph": "eye.jpg", "limbus": {}, "pupil": {}}
     (tmp_path / "clone.json").write_text(json.dumps(summary))
     (tmp_path / "scene.toml").write_text(SCENE)
-    (tmp_path / PHOTOGRAPH).write_bytes(encode_photograph(encoded))
+    (tmp_path / PHOTOGRAPH).write_bytes(encode_photograph(ENCODED))
     return tmp_path
 
 
-def test_scene_and_photograph_come_back(folder, encoded):
+def test_scene_and_photograph_come_back(folder):
     found = read_clone(folder)
     assert found.scene.exposure == 2.0
     assert found.scene.scene().camera.size == (8, 6)
-    assert np.abs(found.photograph / 255 - encoded).max() <= 0.5 / 255 + 1e-6
+    assert np.abs(found.photograph / 255 - ENCODED).max() <= 0.5 / 255 + 1e-6
 
 
 def test_names_what_is_missing(folder):

@@ -125,12 +125,6 @@ def test_what_the_tables_do_not_cover_is_left_out(tmp_path):
         io.read_measured(path, wavelengths=(900, 1000))
 
 
-@pytest.mark.parametrize("text", ["nm,R\n400,oops\n410,0.03\n", "400,oops\n410,0.03\n420,0.03\n"])
-def test_a_first_row_that_is_no_number_is_refused(tmp_path, text):
-    with pytest.raises(ValueError, match=r"line \d: 'oops' is not a number"):
-        io.read_measured(written(tmp_path, text))
-
-
 def test_missing_values_are_skipped_and_counted(tmp_path):
     text = "nm,R %\n400,3\n410,\n420,NaN\n430,#N/A\n440,3.1\n"
     found = io.read_measured(written(tmp_path, text))
@@ -472,7 +466,6 @@ def test_an_excel_file_holds_one_table(tmp_path):
         ("eye.ods", b"PK" + bytes(28) + b"mimetypeapplication/vnd.oasis", "OpenDocument"),
         ("eye.h5", b"\x89HDF\r\n", "HDF5 is not read"),
         ("eye.mat", b"MATLAB 5.0 MAT-file", "MATLAB's binary format"),
-        ("eye.zip", b"PK\3\4", "not readable as an Excel file"),
         ("eye.dat", b"\0\1\2\3", "not a text file; export the spectrum as text"),
         ("eye.xlsx", b"PK\3\4\0", "not readable as an Excel file"),
     ],
@@ -592,6 +585,8 @@ BOTH = ",".join(f"{kind} {x:.0f}nm" for kind in ("SCI", "SCE") for x in X)
         ("eye_Absorbance_1.txt\n" + rows("\t", X, -np.log10(Y)), "'Absorbance': give --quantity"),
         ("400\n500\n", "line 1: one column"),
         ("nm,R\n400,0.1\n410,abc\n", "line 3: 'abc' is not a number"),
+        ("nm,R\n400,oops\n410,0.03\n", "line 2: 'oops' is not a number"),
+        ("400,oops\n410,0.03\n420,0.03\n", "line 1: 'oops' is not a number"),
         ("nm,R\n400,0.1\n410\n", "line 3: 1 values, 2"),
         ("nm,R\n400,0.1\n410,inf\n", "line 3: inf is not a finite number"),
         ("nm,R\n400,\n410,nan\n", "no wavelength has a value"),
@@ -644,15 +639,13 @@ def test_a_table_of_eyes(tmp_path):
     "text",
     [
         "400,0.02\n500,0.03\n600,0.015\n",
-        "nm\tR\n400\t0.02\n500\t0.03\n600\t0.015\n",
-        "400 0.02\n500 0.03\n600 0.015\n",
         "\ufeffwavelength,reflectance\r\n600,0.015\r\n500,0.03\r\n400,0.02\r\n",
         "# a note\n# level: low\nwavelength (nm),R\n400,0.02\n\n500,0.03\n600,0.015\n",
         "wavelength_um,reflectance\n0.4,0.02\n0.5,0.03\n0.6,0.015\n",
         "0.4,0.02\n0.5,0.03\n0.6,0.015\n",
         "nm,R,\n400,0.02,\n500,0.03,\n600,0.015,\n",
     ],
-    ids=["bare", "tabs", "blanks", "bom-crlf-reversed", "comments", "um", "by-size", "trailing"],
+    ids=["bare", "bom-crlf-reversed", "comments", "um", "um-by-size", "trailing"],
 )
 def test_layouts(tmp_path, text):
     found = io.read_measured(written(tmp_path, text))

@@ -39,7 +39,7 @@ MP4 = pytest.mark.peer  # needs the extra irisjax[video]
 @pytest.mark.parametrize(
     ("suffix", "mean"), [(".gif", 0.05), pytest.param(".mp4", 0.01, marks=MP4)]
 )
-@pytest.mark.parametrize("size", [(60, 80), (61, 83), (1, 1), (33, 500)])
+@pytest.mark.parametrize("size", [(60, 80), (61, 83), (1, 1)])
 def test_frames_come_back(tmp_path, suffix, mean, size):
     made = frames(*size, 9)
     path = tmp_path / f"eye{suffix}"
