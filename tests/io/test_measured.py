@@ -224,107 +224,78 @@ def each(form, separator="\n"):
     )
 
 
-def role(text, said="", *, has_sd=False, **asked):
-    """Make a case: a file, how it is read, whether an sd is found, and what is said."""
-    return text, asked, has_sd, said
+def role(text, said="", **asked):
+    """Make a case: a file, what is said of it, and how it is read."""
+    return text, said, asked
 
 
 ABSORBED = "absorbance log10(1/R) converted to reflectance"
 REMITTED = "kubelka-munk (1 - R)²/2R converted to reflectance"
-ROLES = {
-    "sd in a name": role(table("wavelength,reflectance,reflectance_sd", R, SD), has_sd=True),
-    "StdDev": role(table("wavelength,reflectance,StdDev", R, SD), has_sd=True),
-    "dR": role(table("lambda;R;dR", R, SD, decimal=",", sep=";"), has_sd=True),
-    "u(R)": role(table("nm,R,u(R)", R, SD), has_sd=True),
-    "French": role(
-        table("Longueur d'onde;Réflectance (%);écart-type", 100 * R, 100 * SD, sep=";"), has_sd=True
-    ),
-    "a comment of numpy.savetxt": role(
-        table("# wavelength reflectance sd", R, SD, sep=" "), has_sd=True
-    ),
-    "scans and their mean": role(
-        table("nm,scan 1,scan 2,mean", 1.05 * R, 0.95 * R, 1.5 * R), "'mean' left out", has_sd=True
-    ),
-    "mean, least and largest": role(
-        table("nm,mean,min,max,std", R, 0.9 * R, 1.1 * R, SD), "'min', 'max'", has_sd=True
-    ),
-    "sd by its name": role(table("nm,R,x", R, SD), has_sd=True, column="R", sd="x"),
+P, ZERO = 100 * R, 0 * R
+SVC = "/*** Spectra Vista SIG Data ***/\nunits= Radiance, Radiance\ndata="
+EVOLUTION = "Units: W/m^2\nColumns [4]:\nData:\nWvl\tRad. (Ref.)\tRad. (Target)\tReflect. %"
+DIFFERENCES = "Wavelength [nm],Sample,Dark,Reference,Absorbance [A.U.]"
+JASCO = "試料\t右眼\nXUNITS\tNANOMETERS\nYUNITS\tABSORBANCE\nXYDATA\n{}\n[コメント情報]\n"
+LIBRARY = "X Units: Wavelength (micrometers)\nY Units: Reflectance (percent)\n"
+USGS = "  wavelength   reflectance    standard deviation\n\niris AREF\ncopy of splib05a r 4000\n"
+FORTRAN = "nm R\n" + each("{x:.4E} {y:.6E}").replace("E", "D")
+PORTUGUESE = "Comprimento de onda (nm);Refletância (%);Desvio padrão"
+NUMBERED = {"names": each("SPECTRAL_NM_{x:.0f}", "\t"), "values": each("{y:.6g}", "\t")}
+COUNTED = rows(";", GRID, 3 + ZERO, 64 + R, 12 + R, P)
+TWO_SAMPLES = "\n".join(
+    rows("\t", i + ZERO, GRID, scale * P, 100 * scale * SD) for i, scale in ((1, 2), (2, 1))
+)
+TWO_KINDS = ";".join(f"{x:.0f} nm ({kind})" for kind in ("SCI", "SCE") for x in GRID)
+LONG_SCANS = "\n".join(
+    f"{scan};{x};{name};{f * y:.6g}"
+    for x, y in zip(GRID, R, strict=True)
+    for scan, f in ((1, 0.9), (2, 1.1))
+    for name, f in (("reflectance", f), ("transmittance", 0.2))
+)
+WITHOUT_SD = {
     "blocks": role(
         blocks(("a", "REFLECTANCE", R), ("a", "VARIANCE", SD**2)), "'VARIANCE' left out"
     ),
     "a linked standard": role(
-        blocks(("PROCESSED", "Reflection (%)", 100 * R), ("DARK", "Reflection (%)", 0.1 + R)),
-        "'DARK: Reflection (%)' left out"
+        blocks(("PROCESSED", "Reflection (%)", P), ("DARK", "Reflection (%)", 0.1 + R)),
+        "'DARK: Reflection (%)' left out",
     ),
     "blanks in labels": role(
         blocks(("a", "REFLECTANCE", R)).replace("##XYPOINTS=", "## XY_DATA = ")
     ),
-    "SVC": role(
-        table(
-            "/*** Spectra Vista SIG Data ***/\nunits= Radiance, Radiance\ndata=",
-            34 + R, 34 * R, 100 * R, sep="  "
-        ),
-        "'radiance' left out"
-    ),
-    "Spectral Evolution": role(
-        table(
-            "Version: 2.2\nUnits: W/m^2\nColumns [4]:\nData:\nWvl\tRad. (Ref.)\tRad. (Target)\tReflect. %",
-            1 + R, R, 100 * R, sep="\t"
-        )
-    ),
+    "SVC": role(table(SVC, 34 + R, 34 * R, P, sep="  "), "'radiance' left out"),
+    "Spectral Evolution": role(table(EVOLUTION, 1 + R, R, P, sep="\t")),
     "Cary": role(cary(("Sample 1", R), below="\nSample 1\nY Mode   %R\n"), "2 lines below"),
     "Cary, one of a pair": role(
         cary(("Baseline", 30 * R), ("eye", R), ("iris", 2 * R)), "'eye %R' used", column="eye"
     ),
-    "JASCO": role(
-        "試料\t右眼\nXUNITS\tNANOMETERS\nYUNITS\tABSORBANCE\nXYDATA\n" + rows("\t", GRID, ABSORBANCE)
-        + "\n[コメント情報]\n", "absorbance"
-    ),
-    "Shimadzu": role(
-        '"eye"\n"Wavelength nm.","R%"\n' + each('"{x:.2f}","{p:.5f}"')
-    ),
-    "PerkinElmer": role(PERKIN_ELMER.format(unit="%R", rows=rows("\t", GRID, 100 * R))),
+    "JASCO": role(JASCO.format(rows("\t", GRID, ABSORBANCE)), ABSORBED),
+    "Shimadzu": role('"eye"\n"Wavelength nm.","R%"\n' + each('"{x:.2f}","{p:.5f}"')),
+    "PerkinElmer": role(PERKIN_ELMER.format(unit="%R", rows=rows("\t", GRID, P))),
     "a library of spectra": role(
-        "X Units: Wavelength (micrometers)\nY Units: Reflectance (percent)\n"
-        + rows("\t", [*GRID / 1000, 14.0], [*100 * R, 2.0]), "1 of 32 wavelengths left out"
+        LIBRARY + rows("\t", [*GRID / 1000, 14.0], [*P, 2.0]), "1 of 32 wavelengths left out"
     ),
     "IAD, a number of columns": role(
         IAD.format(slides=1.5, spheres=1, legend="2", rows=rows(" ", GRID, R, 0.5 * R)),
-        "--fix gain=0.920"
+        "--fix gain=0.920",
     ),
     "IAD, letters": role(
-        IAD.format(slides=1, spheres=0, legend="L t r R", rows=rows(" ", GRID, R / 2, R, 0.99 + 0 * R)),
-        "'M_R' used, 'M_T' left out"
+        IAD.format(slides=1, spheres=0, legend="LtrR", rows=rows(" ", GRID, R / 2, R, 0.99 + ZERO)),
+        "'M_R' used, 'M_T' left out",
     ),
-    "CGATS": role(
-        CGATS.format(
-            names=each("SPECTRAL_NM_{x:.0f}", "\t"), values=each("{y:.6g}", "\t")
-        )
-    ),
+    "CGATS": role(CGATS.format(**NUMBERED)),
     "light beside counts": role(
-        AVASOFT_OF_LIGHT.format(rows=rows(";", GRID, 3 + 0 * R, 64 + R, 12 + R, 100 * R)),
-        "'Ref [counts]'", column="Transmittance", quantity="reflectance"
+        AVASOFT_OF_LIGHT.format(rows=COUNTED),
+        "'Ref [counts]'",
+        column="Transmittance",
+        quantity="reflectance",
     ),
     "JAZ": role(
-        table("W\tD\tR\tS\tP", 900 + 0 * R, 900 + 3e4 + R, 900 + 3e4 * R, 100 * R, sep="\t"),
-        "'reflectance (%)' used"
+        table("W\tD\tR\tS\tP", 900 + ZERO, 900 + 3e4 + R, 900 + 3e4 * R, P, sep="\t"),
+        "'reflectance (%)' used",
     ),
     "ENVI": role(table("Column 1: Wavelength\nColumn 2: iris~~1##255,0,0", R, sep="  ")),
-    "columns listed in a preamble": role(
-        "   wavelength   reflectance    standard deviation\n\niris AREF\ncopy of splib05a r 4000\n"
-        + rows("   ", GRID / 1000, R, SD) + "\n 0.71  -1.23e34  0.0",
-        "1 of 32 wavelengths without a value", has_sd=True
-    ),
-    "deviations of zero": role(table("nm,R,sd", R, 0 * R), "of zero are none"),
-    "relative": role(table("nm,R,rel. sd (%)", R, 3 + 0 * R), has_sd=True),
-    "k = 2": role(table("nm,R,u (k=2)", R, 2 * SD), has_sd=True),
-    "Portuguese": role(
-        table(
-            "Comprimento de onda (nm);Refletância (%);Desvio padrão",
-            100 * R, 100 * SD, decimal=",", sep=";"
-        ),
-        has_sd=True
-    ),
+    "deviations of zero": role(table("nm,R,sd", R, ZERO), "of zero are none"),
     "quartiles": role(table("nm,median,Q1,Q3,95% CI", R, 0.9 * R, 1.1 * R, R), "'Q1', 'Q3'"),
     "minus a logarithm": role(table("nm,-log10(R)", ABSORBANCE), ABSORBED),
     "a logarithm": role(table("nm,log(1/R)", ABSORBANCE), ABSORBED),
@@ -332,78 +303,82 @@ ROLES = {
     "K/S": role(table("nm,K/S", KS), REMITTED),
     "a block of Kubelka and Munk's": role(blocks(("a", "KUBELKA-MUNK", KS)), REMITTED),
     "absorbance units": role(
-        table(
-            "Wavelength [nm],Sample,Dark,Reference,Absorbance [A.U.]",
-            900 + R, 900 + 0 * R, 3e4 + R, ABSORBANCE
-        ),
-        ABSORBED
+        table(DIFFERENCES, 900 + R, 900 + ZERO, 3e4 + R, ABSORBANCE), ABSORBED
     ),
-    "a ratio": role(table("nm,eye,white,eye/white", 0.5 * R, 0.5 + 0 * R, R), "'eye/white' used"),
+    "a ratio": role(table("nm,eye,white,eye/white", 0.5 * R, 0.5 + ZERO, R), "'eye/white' used"),
     "a wavelength in two units": role(
-        table("Wavelength;Wavenumber;Dark;%R", 1e7 / GRID, 900 + R, 100 * R, sep=";")
+        table("Wavelength;Wavenumber;Dark;%R", 1e7 / GRID, 900 + R, P, sep=";")
     ),
-    "decimal commas in quotes": role(
-        '"nm","R%"\n' + each('"{x}","{p:.6g}"').replace(".", ",")
-    ),
-    "scans of a numbered eye": role(
-        table("nm,eye1 0001,eye1 0002", 1.1 * R, 0.9 * R), "mean of 2 scans", has_sd=True
-    ),
+    "decimal commas in quotes": role('"nm","R%"\n' + each('"{x}","{p:.6g}"').replace(".", ",")),
     "a unit in each cell": role(
         "Name;Wellenlänge;Remission\n" + each("eye;{x:.0f} nm;{p:.6g} %").replace(".", ",")
     ),
-    "R's names of rows": role(
-        '"wavelength" "value"\n' + each('"{i}" {x} {y:.6g}')
-    ),
-    "a sample in a long table": role(
-        '"","sample","date","wavelength","value","sd"\n'
-        + each('"{i}","eye, left","2024-03-04",{x},{y:.6g},{s:.6g}'), has_sd=True
-    ),
-    "one of the samples of a long table": role(
-        "id\twavelength\tR (%)\tsd\n"
-        + rows("\t", 1 + 0 * GRID, GRID, 200 * R, SD) + "\n" + rows("\t", 2 + 0 * GRID, GRID, 100 * R, 100 * SD),
-        "'1 R (%)', '1 R (%) sd' left out", has_sd=True, column="2"
-    ),
-    "scans of a long table": role(
-        "scan;wavelength;quantity;value\n" + "\n".join(
-            f"{scan};{x};{name};{f * y:.6g}" for x, y in zip(GRID, R, strict=True)
-            for scan, f in ((1, 0.9), (2, 1.1))
-            for name, f in (("reflectance", f), ("transmittance", 0.2))
-        ),
-        "mean of 2 scans", has_sd=True
-    ),
-    "exponents of Fortran": role(
-        "nm R\n" + "\n".join(
-            f"{x / 1000:.4f}D+03 {y:.6E}".replace("E", "D") for x, y in zip(GRID, R, strict=True)
-        )
-    ),
+    "R's names of rows": role('"wavelength" "value"\n' + each('"{i}" {x} {y:.6g}')),
+    "exponents of Fortran": role(FORTRAN),
     "a row with a unit in each cell": role(
         "Data Name,Time," + each("SCE {x:.0f}[nm]", ",") + "\neye,10:11," + each("{p:.6g}%", ",")
     ),
     "SCI and SCE behind the wavelengths": role(
-        "Name;" + ";".join(f"{x:.0f} nm ({kind})" for kind in ("SCI", "SCE") for x in GRID) + "\neye;"
-        + ";".join(f"{100 * y:.6g}" for y in (*1.4 * R, *R)), "'eye SCE' used", column="SCE"
+        f"Name;{TWO_KINDS}\neye;" + ";".join(f"{p:.6g}" for p in (*1.4 * P, *P)),
+        "'eye SCE' used",
+        column="SCE",
     ),
     "remarks beside values": role(
         "time,wavelength,R,remark\n" + each("10:11:{i:02},{x},{y:.6g},") + "blink"
     ),
     "names two lines above": role(
         table("file,a.asd,b.asd\nunit,Reflectance,Reflectance", R, 2 * R),
-        "'a.asd Reflectance' used", column="a.asd"
+        "'a.asd Reflectance' used",
+        column="a.asd",
     ),
-}  # fmt: skip
+}
+WITH_SD = {
+    "sd in a name": role(table("wavelength,reflectance,reflectance_sd", R, SD)),
+    "StdDev": role(table("wavelength,reflectance,StdDev", R, SD)),
+    "dR": role(table("lambda;R;dR", R, SD, decimal=",", sep=";")),
+    "u(R)": role(table("nm,R,u(R)", R, SD)),
+    "French": role(table("Longueur d'onde;Réflectance (%);écart-type", P, 100 * SD, sep=";")),
+    "Portuguese": role(table(PORTUGUESE, P, 100 * SD, decimal=",", sep=";")),
+    "a comment of numpy.savetxt": role(table("# wavelength reflectance sd", R, SD, sep=" ")),
+    "mean, least and largest": role(
+        table("nm,mean,min,max,std", R, 0.9 * R, 1.1 * R, SD), "'min', 'max'"
+    ),
+    "sd by its name": role(table("nm,R,x", R, SD), column="R", sd="x"),
+    "relative": role(table("nm,R,rel. sd (%)", R, 3 + ZERO)),
+    "k = 2": role(table("nm,R,u (k=2)", R, 2 * SD)),
+    "columns listed in a preamble": role(
+        USGS + rows("   ", GRID / 1000, R, SD) + "\n 0.71  -1.23e34  0.0",
+        "1 of 32 wavelengths without a value",
+    ),
+    "a sample in a long table": role(
+        '"","sample","date","wavelength","value","sd"\n'
+        + each('"{i}","eye, left","2024-03-04",{x},{y:.6g},{s:.6g}')
+    ),
+    "one of the samples of a long table": role(
+        f"id\twavelength\tR (%)\tsd\n{TWO_SAMPLES}", "'1 R (%)', '1 R (%) sd' left out", column="2"
+    ),
+    "scans and their mean": role(
+        table("nm,scan 1,scan 2,mean", 1.05 * R, 0.95 * R, 1.5 * R), "'mean' left out"
+    ),
+    "scans of a numbered eye": role(
+        table("nm,eye1 0001,eye1 0002", 1.1 * R, 0.9 * R), "mean of 2 scans"
+    ),
+    "scans of a long table": role(
+        f"scan;wavelength;quantity;value\n{LONG_SCANS}", "mean of 2 scans"
+    ),
+}
 
 
-@pytest.mark.parametrize("kind", ROLES)
+@pytest.mark.parametrize("kind", WITHOUT_SD | WITH_SD)
 def test_columns_have_roles(tmp_path, kind):
-    text, how, has_sd, said = ROLES[kind]
+    text, said, how = (WITHOUT_SD | WITH_SD)[kind]
     encoding = "cp932" if kind == "JASCO" else "utf-8"
     found = io.read_measured(written(tmp_path, text, encoding), **how)
     np.testing.assert_allclose(found.wavelengths, GRID)
     np.testing.assert_allclose(found.values, R, rtol=1e-4)
     assert said in " ".join(found.notes)
-    if not has_sd:
-        assert found.sd is None
-    elif "scans" not in kind:
+    assert (found.sd is not None) == (kind in WITH_SD)
+    if kind in WITH_SD and "scans" not in kind:
         np.testing.assert_allclose(found.sd, SD, rtol=1e-4)
 
 
