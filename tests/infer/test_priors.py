@@ -29,7 +29,7 @@ def test_priors_are_the_distributions_they_say(prior, reference):
 
 
 def test_logit_normal():
-    z = np.linspace(-6, 6, 25)
+    z = np.linspace(-6, 6, 33)
     value = np.asarray(LogitNormal(0.2, 0.8).value(z))
     np.testing.assert_allclose(
         np.log(value / (1 - value)), np.log(0.25) + 0.8 * z, rtol=1e-12, atol=1e-12
@@ -39,7 +39,7 @@ def test_logit_normal():
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_prior_draws_stay_inside_the_bounds(name):
     p = PARAMETERS[name]
-    value = np.asarray(p.prior.value(np.linspace(-8, 8, 101)))
+    value = np.asarray(p.prior.value(np.linspace(-8, 8, 33)))
     assert np.isfinite(value).all()
     assert (np.diff(value) >= 0).all()
     low, high = p.support
