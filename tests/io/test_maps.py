@@ -21,6 +21,11 @@ def drawn(*names):
     return {name: random.random(SHAPE, np.float32) for name in names}
 
 
+def scene_file(folder, text):
+    (folder / "scene.toml").write_text(text)
+    return read_scene(folder / "scene.toml")
+
+
 @pytest.mark.parametrize(
     "names", [MAP_NAMES, ("eumelanin",), ("freckles", "relief"), MAP_NAMES[:3], MAP_NAMES[:4]]
 )
@@ -31,14 +36,6 @@ def test_round_trip_to_the_last_bit(tmp_path, bits, names):
     assert set(back) == set(names)
     for name, values in maps.items():
         np.testing.assert_array_equal(np.asarray(back[name]), values)
-
-
-def test_a_residual_is_three_channels(tmp_path):
-    residual = np.random.default_rng(4).random((*SHAPE, 3), np.float32)
-    io.write_maps(tmp_path / "maps.exr", IrisMaps(**drawn("relief"), residual=residual))
-    back = io.read_maps(tmp_path / "maps.exr")
-    np.testing.assert_array_equal(np.asarray(back.residual), residual)
-    np.testing.assert_array_equal(np.asarray(back.relief), drawn("relief")["relief"])
 
 
 @pytest.mark.parametrize("letters", ["RGB", "RGBA"])
@@ -65,8 +62,7 @@ def test_scene_takes_its_maps_from_a_file(tmp_path, monkeypatch):
     (tmp_path / "deep").mkdir()
     io.write_maps(tmp_path / "deep" / "m.exr", IrisMaps(**drawn("relief", "freckles")))
     text = '[iris]\npreset = "blue"\n[maps]\nseed = 4\nfile = "deep/m.exr"\n[eye]\nsclera = false'
-    (tmp_path / "scene.toml").write_text(text)
-    scene = read_scene(tmp_path / "scene.toml").scene()  # the path is the scene file's neighbour
+    scene = scene_file(tmp_path, text).scene()  # the path is the scene file's neighbour
     assert scene.maps is not None and set(scene.maps.present()) == {"relief", "freckles"}
     np.testing.assert_array_equal(np.asarray(scene.maps.relief), drawn("relief")["relief"])
     own, _ = presets.preset("blue", key=jax.random.key(0))
@@ -74,15 +70,15 @@ def test_scene_takes_its_maps_from_a_file(tmp_path, monkeypatch):
 
 
 def test_scene_of_a_clone_has_its_residual_unless_told_not_to(tmp_path):
-    residual = np.full((*SHAPE, 3), 1.5, np.float32)
+    residual = np.random.default_rng(4).random((*SHAPE, 3), np.float32)
     io.write_maps(tmp_path / "m.exr", IrisMaps(**drawn("relief"), residual=residual))
     text = '[eye]\nsclera = false\n[maps]\nfile = "m.exr"\n'
-    (tmp_path / "scene.toml").write_text(text)
-    file = read_scene(tmp_path / "scene.toml")
-    np.testing.assert_array_equal(np.asarray(file.scene().maps.residual), residual)
+    file = scene_file(tmp_path, text)
+    maps = file.scene().maps
+    np.testing.assert_array_equal(np.asarray(maps.residual), residual)  # in three channels
+    np.testing.assert_array_equal(np.asarray(maps.relief), drawn("relief")["relief"])
     assert set(file.with_entries("maps", residual=False).scene().maps.present()) == {"relief"}
-    (tmp_path / "scene.toml").write_text(text + "residual = false\n")
-    assert read_scene(tmp_path / "scene.toml").scene().maps.residual is None
+    assert scene_file(tmp_path, text + "residual = false\n").scene().maps.residual is None
 
 
 MAPS = '[maps]\n\nfile = "m.exr"'
