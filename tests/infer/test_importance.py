@@ -51,17 +51,6 @@ def test_a_covariance_that_rounding_made_indefinite():
     assert abs(found.log_integral) < 4 * found.error
 
 
-def test_the_integral_of_a_density_that_the_first_round_resembles():
-    """The first round draws from two proposals, half and half."""
-
-    def wide(z):
-        return stats.norm.logpdf(z, 0.0, 1.4).sum(axis=1)
-
-    found = sampled(wide, [0.0, 0.0], 0.5)
-    assert found.rounds == 1
-    assert abs(found.log_integral) < 4 * found.error
-
-
 def test_what_no_proposal_resembles_is_said():
     """A thin ring: the samples may not stand for the posterior."""
 

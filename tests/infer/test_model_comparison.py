@@ -33,14 +33,19 @@ def blank():
         return ij.spectrum(GRID, np.full(GRID.size, 0.05), sd=np.full(GRID.size, 0.01), name="eye")
 
 
+def measured(problem, truth, blank, other=None):
+    """A problem with noisy data that one, or another, makes of its true values."""
+    (model,) = problem.predict(problem.standard(truth))
+    sd = 0.02 * model + 2e-4
+    seen = model + sd * jax.random.normal(jax.random.key(1), model.shape)
+    return (other or problem).with_observations(with_values(blank, seen, sd))
+
+
 @pytest.mark.parametrize("first", [ij.ILIT_CORRECTED, ij.DEPTH_RESOLVED])
 def test_the_own_process_comes_first(blank, first):
-    # Another process than the printed one has no table in the package.
-    how = (
-        {"solver": ij.IlitExact(12, process=first)}
-        if first == ij.ILIT_CORRECTED
-        else {"process": first}
-    )
+    how = {"process": first}
+    if first == ij.ILIT_CORRECTED:  # has no table in the package
+        how = {"solver": ij.IlitExact(12, process=first)}
     found = candidates_of(ij.problem(blank, free=FREE, **how))
     names, (own, other, general) = list(found), found.values()
     assert own.process == first
@@ -64,11 +69,7 @@ def test_one_model_is_no_comparison(blank):
 @pytest.mark.peer
 def test_the_maker_of_the_data_is_preferred(blank):
     problem = ij.problem(blank, free=FREE, process=ij.DEPTH_RESOLVED)
-    z = problem.standard({"melanin_load": 0.1, "abl_fraction": 0.4, "noise": 1.0})
-    (model,) = problem.predict(z)
-    sd = 0.02 * model + 2e-4
-    seen = model + sd * jax.random.normal(jax.random.key(1), model.shape)
-    problem = problem.with_observations(with_values(blank, seen, sd))
+    problem = measured(problem, {"melanin_load": 0.1, "abl_fraction": 0.4, "noise": 1.0}, blank)
     told = []
     own, other = compare_models(
         problem,
@@ -97,11 +98,7 @@ def test_scattering_of_real_tissue_is_told_from_fibrils():
     maker = plain.under(PowerLaw())
     true = {"rayleigh_share": 0.1, "scattering_power": 0.8, "anisotropy": 0.85}
     rest = {"melanin_load": 0.1, "abl_fraction": 0.4, "noise": 1.0, "reduced_scattering": 3.0}
-    z = maker.standard(rest | true)
-    (model,) = maker.predict(z)
-    sd = 0.02 * model + 2e-4
-    seen = model + sd * jax.random.normal(jax.random.key(1), model.shape)
-    plain = plain.with_observations(with_values(blank, seen, sd))
+    plain = measured(maker, rest | true, blank, plain)
     by_fibrils, by_law = compare_models(
         plain, dict(list(candidates_of(plain).items())[::2]), key=jax.random.key(2)
     )

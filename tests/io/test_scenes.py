@@ -30,11 +30,9 @@ def test_file_becomes_the_scene_it_says():
     assert (float(eye.pupil_radius), float(eye.iris_slope)) == (1.5, 0.1)
     assert (float(camera.polar), float(camera.distance)) == pytest.approx((math.pi / 4, 300))
     assert camera.size == (8, 6)
-    away = np.linalg.norm([10, 20, 40])
-    expected = [
-        [0.5 * np.cos(np.pi / 18), 0.5 * np.sin(np.pi / 18), -np.sqrt(0.75)],
-        np.array([10, 20, -40]) / away,
-    ]
+    turn, away = np.pi / 18, np.linalg.norm([10, 20, 40])
+    polar = [0.5 * np.cos(turn), 0.5 * np.sin(turn), -np.sqrt(0.75)]
+    expected = [polar, np.array([10, 20, -40]) / away]
     np.testing.assert_allclose(scene.lights.towards, expected, atol=1e-7)
     np.testing.assert_allclose(scene.lights.irradiance, [np.pi, 1.5])
     np.testing.assert_allclose(scene.lights.distance, [np.inf, away])
@@ -104,6 +102,7 @@ def test_the_file_that_explains_everything_names_every_entry():
     assert found == {name: set(checks) for name, checks in SECTIONS.items()}
 
 
+UNLIT = BARE[: BARE.index("[[light]]")]
 FULL = """
 [iris]
 preset = "hazel"
@@ -171,8 +170,7 @@ def test_seeds_grow_other_maps():
 
 def test_coloured_lamps():
     """A red lamp beside a plain one; without colours there are no tints."""
-    text = BARE[: BARE.index("[[light]]")]
-    coloured = parse_scene(f"{text}[[light]]\ncolour = [1, 0, 0]\n[[light]]\n").scene()
+    coloured = parse_scene(f"{UNLIT}[[light]]\ncolour = [1, 0, 0]\n[[light]]\n").scene()
     np.testing.assert_allclose(coloured.lights.tint, [[1, 0, 0], [1, 1, 1]])
     assert parse_scene(BARE).scene().lights.tint is None
 
@@ -181,6 +179,6 @@ def test_environment_from_a_file(tmp_path):
     radiance = np.asarray(Environment.studio(16).radiance)
     io.write_exr(tmp_path / "room.exr", radiance)
     text = '[environment]\nfile = "room.exr"\nlights = 5\nstrength = 2'
-    scene = parse_scene(BARE[: BARE.index("[[light]]")] + text, folder=tmp_path).scene()
+    scene = parse_scene(UNLIT + text, folder=tmp_path).scene()
     assert scene.lights is None and len(scene.all_lights()) == 5
     np.testing.assert_allclose(scene.environment.radiance, 2 * radiance, rtol=1e-5)
