@@ -36,23 +36,6 @@ def test_a_number_that_is_stated_makes_the_law():
     assert float(stated.fixed["rayleigh_share"]) == float(ij.PowerLaw().rayleigh_share)
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"free": ["anisotropy"]}, "anisotropy is of radiative transfer"),
-        ({"fixed": {"rayleigh_share": 0.1}}, "rayleigh_share is of radiative transfer"),
-        ({"base": ij.Iris(power_law=ij.PowerLaw())}, "power_law is of radiative transfer"),
-        (
-            {"free": ["reduced_scattering", "scattering_scale"], "process": ij.DEPTH_RESOLVED},
-            "one factor",
-        ),
-    ],
-)
-def test_refusals(options, said):
-    with pytest.raises(ValueError, match=said):
-        ij.problem(SEEN, **options)
-
-
 def test_its_numbers_are_those_of_the_iris():
     law = ij.PowerLaw(1.4, 0.2, 1.1, 0.8)
     stated = ij.problem(

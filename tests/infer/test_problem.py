@@ -255,49 +255,39 @@ def test_spots_share_blood_but_not_melanin():
 
 
 ONES, MANY = ij.spectrum(GRID, np.ones(GRID.size)), np.linspace(400, 700, 1001)
-SMOOTH = {"discrepancy": 0.1, "length": 50.0}
+SMOOTH, TWO = {"discrepancy": 0.1, "length": 50.0}, [400.0, 410.0]
+READ, LAW = ij.Measured(GRID, GRID, None, (), {}), ij.Iris(power_law=ij.PowerLaw())
+by_ilit = partial(ij.problem, ONES)
 
 
 @pytest.mark.parametrize(
     ("state", "message"),
     [
-        (lambda: ij.problem(ONES, free=["melanin"]), "unknown parameter 'melanin'"),
-        (lambda: ij.problem(ONES, fixed={"abl_fraction": 1.2}), r"= 1.2 is outside \[0, 1\]"),
-        (lambda: ij.problem(ONES, free=["gain"], fixed={"gain": 1.0}), "both free and fixed"),
-        (lambda: ij.problem(ONES, free=[]), "nothing is free"),
-        (
-            lambda: ij.problem(ONES, free=["gain"], priors={"noise": LogNormal(1.0, 1.0)}),
-            "is not free",
-        ),
+        (lambda: by_ilit(free=["melanin"]), "unknown parameter 'melanin'"),
+        (lambda: by_ilit(fixed={"abl_fraction": 1.2}), r"abl_fraction = 1.2 is outside \[0, 1\]"),
+        (lambda: by_ilit(free=["gain"], fixed={"gain": 1.0}), "both free and fixed"),
+        (lambda: by_ilit(free=[]), "nothing is free"),
+        (lambda: by_ilit(free=["gain"], priors={"noise": LogNormal(1.0, 1.0)}), "is not free"),
         (lambda: ij.problem(ij.spectrum(MANY, MANY), noise=Noise(**SMOOTH)), "1001 by 1001"),
         (lambda: Noise(**SMOOTH, degrees_of_freedom=4.0), "do not go together"),
         (lambda: Noise(discrepancy=0.1), "needs its length"),
         (lambda: ij.colour_data([0.1, 0.1, 0.1], np.zeros((3, 3))), "positive definite"),
+        (lambda: by_ilit(free=["anisotropy"]), "anisotropy is of radiative transfer"),
+        (lambda: by_ilit(fixed={"rayleigh_share": 0.1}), "rayleigh_share is of radiative transfer"),
+        (lambda: by_ilit(base=LAW), "power_law is of radiative transfer"),
+        (lambda: by_transfer(ONES, None, "reduced_scattering", SCALE), "one factor"),
+        (lambda: ij.spectrum(TWO, [0.1, np.nan]), "the value at 410 nm is not a finite number"),
+        (lambda: ij.spectrum([300.0, 410.0], [0.1, 0.1]), "300 nm is outside the pigment tables"),
+        (lambda: ij.spectrum([400.0, 400.0], [0.1, 0.1]), "must increase"),
+        (lambda: ij.spectrum(TWO, [0.1]), "need one for each"),
+        (lambda: ij.spectrum(TWO, [0.1, 0.1], [0.1, 0.0]), "standard deviation at 410 nm is 0"),
+        (lambda: ij.spectrum(TWO), "wavelengths and values, or one object"),
+        (lambda: ij.spectrum(READ, 0.01), "wavelengths and values, or one object"),
     ],
 )
-def test_wrong_problems_are_named(state, message):
+def test_wrong_problems_and_data_are_named(state, message):
     with pytest.raises(ValueError, match=message):
         state()
-
-
-HALF = "wavelengths and values, or one object"
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [
-        (([400.0, 410.0], [0.1, np.nan]), "the value at 410 nm is not a finite number"),
-        (([300.0, 410.0], [0.1, 0.1]), "300 nm is outside the pigment tables"),
-        (([400.0, 400.0], [0.1, 0.1]), "must increase"),
-        (([400.0, 410.0], [0.1]), "need one for each"),
-        (([400.0, 410.0], [0.1, 0.1], [0.1, 0.0]), "standard deviation at 410 nm is 0"),
-        (([400.0, 500.0],), HALF),
-        ((ij.Measured(GRID, GRID, None, (), {}), 0.01), HALF),
-    ],
-)
-def test_wrong_spectra_are_named(given, message):
-    with pytest.raises(ValueError, match=message):
-        ij.spectrum(*given)
 
 
 def test_spectra_of_colour_science_and_read_ones_stand_for_wavelengths_and_values(tmp_path):
