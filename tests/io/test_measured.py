@@ -231,19 +231,21 @@ def role(text, said="", **asked):
 
 ABSORBED = "absorbance log10(1/R) converted to reflectance"
 REMITTED = "kubelka-munk (1 - R)²/2R converted to reflectance"
-P, ZERO = 100 * R, 0 * R
+PERCENT, ZERO = 100 * R, 0 * R
 SVC = "/*** Spectra Vista SIG Data ***/\nunits= Radiance, Radiance\ndata="
-EVOLUTION = "Units: W/m^2\nColumns [4]:\nData:\nWvl\tRad. (Ref.)\tRad. (Target)\tReflect. %"
+EVOLUTION = "Version: 2.2\nUnits: W/m^2\nColumns [4]:\nData:\n"
+EVOLUTION += "Wvl\tRad. (Ref.)\tRad. (Target)\tReflect. %"
 DIFFERENCES = "Wavelength [nm],Sample,Dark,Reference,Absorbance [A.U.]"
 JASCO = "試料\t右眼\nXUNITS\tNANOMETERS\nYUNITS\tABSORBANCE\nXYDATA\n{}\n[コメント情報]\n"
 LIBRARY = "X Units: Wavelength (micrometers)\nY Units: Reflectance (percent)\n"
 USGS = "  wavelength   reflectance    standard deviation\n\niris AREF\ncopy of splib05a r 4000\n"
 FORTRAN = "nm R\n" + each("{x:.4E} {y:.6E}").replace("E", "D")
+FRENCH = "Longueur d'onde;Réflectance (%);écart-type"
 PORTUGUESE = "Comprimento de onda (nm);Refletância (%);Desvio padrão"
 NUMBERED = {"names": each("SPECTRAL_NM_{x:.0f}", "\t"), "values": each("{y:.6g}", "\t")}
-COUNTED = rows(";", GRID, 3 + ZERO, 64 + R, 12 + R, P)
+COUNTED = rows(";", GRID, 3 + ZERO, 64 + R, 12 + R, PERCENT)
 TWO_SAMPLES = "\n".join(
-    rows("\t", i + ZERO, GRID, scale * P, 100 * scale * SD) for i, scale in ((1, 2), (2, 1))
+    rows("\t", i + ZERO, GRID, scale * PERCENT, 100 * scale * SD) for i, scale in ((1, 2), (2, 1))
 )
 TWO_KINDS = ";".join(f"{x:.0f} nm ({kind})" for kind in ("SCI", "SCE") for x in GRID)
 LONG_SCANS = "\n".join(
@@ -257,23 +259,23 @@ WITHOUT_SD = {
         blocks(("a", "REFLECTANCE", R), ("a", "VARIANCE", SD**2)), "'VARIANCE' left out"
     ),
     "a linked standard": role(
-        blocks(("PROCESSED", "Reflection (%)", P), ("DARK", "Reflection (%)", 0.1 + R)),
+        blocks(("PROCESSED", "Reflection (%)", PERCENT), ("DARK", "Reflection (%)", 0.1 + R)),
         "'DARK: Reflection (%)' left out",
     ),
     "blanks in labels": role(
         blocks(("a", "REFLECTANCE", R)).replace("##XYPOINTS=", "## XY_DATA = ")
     ),
-    "SVC": role(table(SVC, 34 + R, 34 * R, P, sep="  "), "'radiance' left out"),
-    "Spectral Evolution": role(table(EVOLUTION, 1 + R, R, P, sep="\t")),
+    "SVC": role(table(SVC, 34 + R, 34 * R, PERCENT, sep="  "), "'radiance' left out"),
+    "Spectral Evolution": role(table(EVOLUTION, 1 + R, R, PERCENT, sep="\t")),
     "Cary": role(cary(("Sample 1", R), below="\nSample 1\nY Mode   %R\n"), "2 lines below"),
     "Cary, one of a pair": role(
         cary(("Baseline", 30 * R), ("eye", R), ("iris", 2 * R)), "'eye %R' used", column="eye"
     ),
     "JASCO": role(JASCO.format(rows("\t", GRID, ABSORBANCE)), ABSORBED),
     "Shimadzu": role('"eye"\n"Wavelength nm.","R%"\n' + each('"{x:.2f}","{p:.5f}"')),
-    "PerkinElmer": role(PERKIN_ELMER.format(unit="%R", rows=rows("\t", GRID, P))),
+    "PerkinElmer": role(PERKIN_ELMER.format(unit="%R", rows=rows("\t", GRID, PERCENT))),
     "a library of spectra": role(
-        LIBRARY + rows("\t", [*GRID / 1000, 14.0], [*P, 2.0]), "1 of 32 wavelengths left out"
+        LIBRARY + rows("\t", [*GRID / 1000, 14.0], [*PERCENT, 2.0]), "1 of 32 wavelengths left out"
     ),
     "IAD, a number of columns": role(
         IAD.format(slides=1.5, spheres=1, legend="2", rows=rows(" ", GRID, R, 0.5 * R)),
@@ -291,7 +293,7 @@ WITHOUT_SD = {
         quantity="reflectance",
     ),
     "JAZ": role(
-        table("W\tD\tR\tS\tP", 900 + ZERO, 900 + 3e4 + R, 900 + 3e4 * R, P, sep="\t"),
+        table("W\tD\tR\tS\tP", 900 + ZERO, 900 + 3e4 + R, 900 + 3e4 * R, PERCENT, sep="\t"),
         "'reflectance (%)' used",
     ),
     "ENVI": role(table("Column 1: Wavelength\nColumn 2: iris~~1##255,0,0", R, sep="  ")),
@@ -307,7 +309,7 @@ WITHOUT_SD = {
     ),
     "a ratio": role(table("nm,eye,white,eye/white", 0.5 * R, 0.5 + ZERO, R), "'eye/white' used"),
     "a wavelength in two units": role(
-        table("Wavelength;Wavenumber;Dark;%R", 1e7 / GRID, 900 + R, P, sep=";")
+        table("Wavelength;Wavenumber;Dark;%R", 1e7 / GRID, 900 + R, PERCENT, sep=";")
     ),
     "decimal commas in quotes": role('"nm","R%"\n' + each('"{x}","{p:.6g}"').replace(".", ",")),
     "a unit in each cell": role(
@@ -319,7 +321,7 @@ WITHOUT_SD = {
         "Data Name,Time," + each("SCE {x:.0f}[nm]", ",") + "\neye,10:11," + each("{p:.6g}%", ",")
     ),
     "SCI and SCE behind the wavelengths": role(
-        f"Name;{TWO_KINDS}\neye;" + ";".join(f"{p:.6g}" for p in (*1.4 * P, *P)),
+        f"Name;{TWO_KINDS}\neye;" + ";".join(f"{p:.6g}" for p in (*1.4 * PERCENT, *PERCENT)),
         "'eye SCE' used",
         column="SCE",
     ),
@@ -337,8 +339,8 @@ WITH_SD = {
     "StdDev": role(table("wavelength,reflectance,StdDev", R, SD)),
     "dR": role(table("lambda;R;dR", R, SD, decimal=",", sep=";")),
     "u(R)": role(table("nm,R,u(R)", R, SD)),
-    "French": role(table("Longueur d'onde;Réflectance (%);écart-type", P, 100 * SD, sep=";")),
-    "Portuguese": role(table(PORTUGUESE, P, 100 * SD, decimal=",", sep=";")),
+    "French": role(table(FRENCH, PERCENT, 100 * SD, sep=";")),
+    "Portuguese": role(table(PORTUGUESE, PERCENT, 100 * SD, decimal=",", sep=";")),
     "a comment of numpy.savetxt": role(table("# wavelength reflectance sd", R, SD, sep=" ")),
     "mean, least and largest": role(
         table("nm,mean,min,max,std", R, 0.9 * R, 1.1 * R, SD), "'min', 'max'"
