@@ -507,18 +507,22 @@ def test_eyes_with_their_standard_deviations(tmp_path):
 
 
 def test_scans_of_eyes_have_their_mean(tmp_path):
-    """Rows of one name, and lines of one eye in a long table."""
-    scans = {("a", 1): 1.01 * R, ("a", 2): 0.99 * R, ("b", 1): 0.8 * R}
-    wide = [",".join([eye, *map(str, scan)]) for (eye, _), scan in scans.items()]
+    """Rows of one name, the right eye's among them, and lines of one eye in a long table."""
+    scans = ((0, 1, 1.01 * R), (0, 2, 0.99 * R), (1, 1, 0.8 * R))
+    rows_of, lines_of = ("OD", "OS"), ("leaf1", "leaf2")
+    wide = [f"{n},{rows_of[eye]},{','.join(map(str, scan))}" for eye, n, scan in scans]
     long = [
-        f"{eye} {number} {x} {y:.6g}"
-        for (eye, number), scan in scans.items()
+        f"{lines_of[eye]} {n} {x} {y:.6g}"
+        for eye, n, scan in scans
         for x, y in zip(GRID, scan, strict=True)
     ]
-    for lines in ([f"Name,{NAMES}", *wide], ["eye scan wavelength R", *long]):
+    for names, lines in (
+        (rows_of, [f"No.,Name,{NAMES}", *wide]),
+        (lines_of, ["eye scan wavelength R", *long]),
+    ):
         found = io.read_eyes(written(tmp_path, "\n".join(lines)))
-        assert list(found) == ["a", "b"]
-        np.testing.assert_allclose(found["a"].values, R, rtol=1e-4)
+        assert tuple(found) == names
+        np.testing.assert_allclose(found[names[0]].values, R, rtol=1e-4)
 
 
 BOTH = ",".join(f"{kind} {x:.0f}nm" for kind in ("SCI", "SCE") for x in X)
