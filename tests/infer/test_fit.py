@@ -20,6 +20,7 @@ from irisjax.infer.least_squares import NORMAL_EQUATIONS, levenberg_marquardt
 from irisjax.infer.noise import Noise
 from irisjax.infer.observation import with_values
 from irisjax.infer.parameters import of_iris
+from irisjax.transport.solution import raise_failure
 
 GRID = ij.wavelengths(400, 700, 10)
 KEY = jax.random.key(0, impl="threefry2x32")
@@ -198,6 +199,9 @@ def test_misfit_is_no_failed_search(problem, measured):
     assert float(found.p_value) < 1e-6
     with pytest.raises(ValueError, match="does not produce these data"):
         fit(stepped, key=KEY, throw=True)
+    # As `throw` does in a compiled program.
+    with pytest.raises(RuntimeError, match="does not produce these data"):
+        eqx.filter_jit(raise_failure)(found.z, found.status)
 
 
 def ended(result=optx.RESULTS.successful, **numbers):
