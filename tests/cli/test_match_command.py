@@ -109,8 +109,7 @@ def test_without_a_recipe_coats_of_the_nearest_colour_are_matched(irisjax, tmp_p
 def test_wrong_targets_are_one_line(irisjax, tmp_path, recipe):
     def refused(*options, words):
         result = irisjax("paint", *options, "-o", tmp_path / "eye")
-        for word in words:
-            one_line(result, word)
+        one_line(result, *words)
         assert not (tmp_path / "eye").exists()
 
     flat = _flat(tmp_path / "flat.png")
@@ -131,4 +130,3 @@ def test_wrong_targets_are_one_line(irisjax, tmp_path, recipe):
     refused(recipe, "--retouch", "3", words=["--retouch means something only with --match"])
     refused(recipe, "--match", flat, "--retouch", "99", words=["--retouch", "[0, 30]"])
     refused("--match", flat, "--type", "detail", words=["--colour"])
-    refused("--match", at / "x.toml", "--pupil-radius", "9", words=["--pupil-radius", "4.75"])

@@ -31,11 +31,6 @@ def one_coat(tmp_path):
     return path
 
 
-def _refused(result, *words):
-    for word in words:
-        one_line(result, word)
-
-
 def _pixels(path):
     return np.asarray(Image.open(path)).astype(int)
 
@@ -122,7 +117,7 @@ def test_a_recipe_becomes_an_eye_its_coats_and_the_recipe_as_used(
     assert len(coats) == 6
     used = read_recipe(folder / "recipe.toml")
     assert used.coats == read_recipe(RECIPE).coats and used.palette == {"moss": "#5a6b2c"}
-    _refused(irisjax("paint", RECIPE, "-o", folder), str(folder), "--overwrite")
+    one_line(irisjax("paint", RECIPE, "-o", folder), str(folder), "--overwrite")
     # Other paints, another eye; a file in the folder is replaced when asked.
     before = _pixels(coats[0])
     again = (*SMALL, "-o", folder, "--overwrite")
@@ -156,7 +151,7 @@ def test_pictures_that_a_recipe_paints_with_are_spared(irisjax, tmp_path, bloodl
         recipe.write_text(f'{SCAN}{{ file = "{name}" }}\n')
         meshes = ("--meshes", "obj") if "meshes" in name else ()
         options = (*meshes, *SMALL, "-o", tmp_path, "--overwrite")
-        _refused(irisjax("paint", recipe, *options), name, "another folder")
+        one_line(irisjax("paint", recipe, *options), name, "another folder")
         assert (tmp_path / name).read_bytes() == before
 
 
@@ -203,19 +198,15 @@ def test_a_type_of_eye_has_the_papers_number_of_coats(irisjax, tmp_path, undrawn
         (BASE.replace('"ultramarine"', "3"), ["line 3", "names of paints"]),
         (BASE.replace("base", "scan"), ["coat 1", "file"]),
         (SCAN + '{ file = ["a.png"] }', ["coat 1 (scan)", 'file = "coat.png"', "['a.png']"]),
-        (SCAN + '{ file = "" }', ["coat 1 (scan)", 'file = "coat.png"']),
         (SCAN + '{ flie = "a.png" }', ["coat 1 (scan)", "flie", "did you mean 'file'"]),
         (SCAN + '{ file = "none.png" }', ["none.png", "No such file"]),
         (BASE + "height = 2\n", ["line 4", "coat.height = 2", "[0, 1] mm"]),
-        (BASE + "sheen = 2\n", ["line 4", "unknown 'sheen'", "opacity"]),
         (f'[painting]\nmixing = "oil"\n{BASE}', ["line 2", "mixing", "kubelka-munk"]),
         (
             f'[painting]\npaints = "own.csv"\nmixing = "hsl"\n{BASE}',
             ["line 3", "a file of paints", "kubelka-munk"],
         ),
-        ("[coats]\n", ["line 1", "unknown section", "coat"]),
         ("[coat]\n", ["line 1", "[[coat]]"]),
-        ("coat = [\n", ["Invalid value"]),
         ('[palette]\nsky = "blue"\n[[coat]]\ncomponent="base"\npaints="sky"\n', ["sky", "#rrggbb"]),
         (
             BASE.replace("base", "sphincter") + "parameters = { reech = 1 }",
@@ -227,7 +218,7 @@ def test_wrong_recipes_are_one_line(irisjax, tmp_path, text, words):
     recipe = tmp_path / "recipe.toml"
     recipe.write_text(text)
     file = "none.png" if "none.png" in text else "recipe.toml"
-    _refused(irisjax("paint", recipe, "-o", tmp_path / "eye"), file, *words)
+    one_line(irisjax("paint", recipe, "-o", tmp_path / "eye"), file, *words)
     assert not (tmp_path / "eye").exists()
 
 
@@ -239,7 +230,7 @@ def test_a_file_where_a_folder_should_be_is_told_before_the_work(irisjax, tmp_pa
     folder.mkdir()
     (folder / name).write_text("mine")
     result = irisjax("paint", RECIPE, *SMALL, *options, "-o", folder)
-    _refused(result, name, "is a file, not a folder")
+    one_line(result, name, "is a file, not a folder")
     assert [p.name for p in folder.iterdir()] == [name]
 
 
@@ -247,7 +238,7 @@ def test_a_folder_without_permission_is_told_before_the_work(irisjax, tmp_path, 
     """`os.access` says no, as it never does to root."""
     monkeypatch.setattr(os, "access", lambda path, mode, **options: not mode & os.W_OK)
     result = irisjax("paint", RECIPE, *SMALL, "-o", tmp_path / "new" / "eye")
-    _refused(result, f"{tmp_path}: no permission to write in this folder")
+    one_line(result, f"{tmp_path}: no permission to write in this folder")
     assert not (tmp_path / "new").exists()
 
 
@@ -255,7 +246,6 @@ def test_a_folder_without_permission_is_told_before_the_work(irisjax, tmp_path, 
     ("option", "said"),
     [
         (("--size", "0x0"), ["--size 0x0", "from 1 to 16384"]),
-        (("--light", "30,0,-1"), ["--light '30,0,-1'", "irradiance"]),
         (("--camera", "200,0"), ["--camera", "200,0"]),
         (("--environment", "garden"), ["garden", "studio"]),
         (("--environment", "none.exr"), ["none.exr", "No such file"]),
@@ -265,7 +255,7 @@ def test_wrong_picture_options_are_refused_before_the_work(
     irisjax, tmp_path, monkeypatch, option, said
 ):
     monkeypatch.setattr("irisjax.cli.paint._prepare", None)
-    _refused(irisjax("paint", RECIPE, *option, "-o", tmp_path / "eye"), *said)
+    one_line(irisjax("paint", RECIPE, *option, "-o", tmp_path / "eye"), *said)
     assert not (tmp_path / "eye").exists()
 
 
@@ -276,14 +266,11 @@ def test_wrong_picture_options_are_refused_before_the_work(
         ((RECIPE, "--type", "detail", "--colour", "blue"), ["one of them"]),
         (("--type", "detail"), ["--colour"]),
         (("--type", "spotted", "--colour", "blue"), ["spotted", "dit-dot"]),
-        (("--type", "detail", "--colour", "red"), ["red", "brown"]),
-        ((RECIPE, "--mixing", "oil"), ["oil", "hsl"]),
         ((RECIPE, "--pupil-radius", "9"), ["9", "4.75"]),
-        ((RECIPE, "--meshes", "stl"), ["stl", "ply"]),
         ((RECIPE, "--seed", "3"), ["--seed", "--type", "each of its coats"]),
         ((RECIPE, "--match", ""), ["--match", "no file or folder"]),
     ],
 )
 def test_wrong_options_are_one_line(irisjax, tmp_path, options, words):
-    _refused(irisjax("paint", "--texels", "64", *options, "-o", tmp_path / "eye"), *words)
+    one_line(irisjax("paint", "--texels", "64", *options, "-o", tmp_path / "eye"), *words)
     assert not (tmp_path / "eye").exists()
