@@ -21,6 +21,9 @@ from irisjax.tissue.maps import IrisMaps
 RECIPE = Path(__file__).parent.parent.parent / "data" / "recipes" / "green.toml"
 SMALL = ("--size", "120x90", "--texels", "64")
 BASE = '[[coat]]\ncomponent = "base"\npaints = "ultramarine"\n'
+REECH = BASE.replace("base", "sphincter") + "parameters = { reech = 1 }"
+OWN_PAINTS = '[painting]\npaints = "own.csv"\nmixing = "hsl"\n'
+PALETTE = '[palette]\nsky = "blue"\n'
 SCAN = '[[coat]]\ncomponent = "scan"\npaints = "ultramarine"\nparameters = '
 
 
@@ -202,16 +205,10 @@ def test_a_type_of_eye_has_the_papers_number_of_coats(irisjax, tmp_path, undrawn
         (SCAN + '{ file = "none.png" }', ["none.png", "No such file"]),
         (BASE + "height = 2\n", ["line 4", "coat.height = 2", "[0, 1] mm"]),
         (f'[painting]\nmixing = "oil"\n{BASE}', ["line 2", "mixing", "kubelka-munk"]),
-        (
-            f'[painting]\npaints = "own.csv"\nmixing = "hsl"\n{BASE}',
-            ["line 3", "a file of paints", "kubelka-munk"],
-        ),
+        (OWN_PAINTS + BASE, ["line 3", "a file of paints", "kubelka-munk"]),
         ("[coat]\n", ["line 1", "[[coat]]"]),
-        ('[palette]\nsky = "blue"\n[[coat]]\ncomponent="base"\npaints="sky"\n', ["sky", "#rrggbb"]),
-        (
-            BASE.replace("base", "sphincter") + "parameters = { reech = 1 }",
-            ["coat 1", "reech", "did you mean 'reach'"],
-        ),
+        (PALETTE + BASE.replace("ultramarine", "sky"), ["sky", "#rrggbb"]),
+        (REECH, ["coat 1", "reech", "did you mean 'reach'"]),
     ],
 )
 def test_wrong_recipes_are_one_line(irisjax, tmp_path, text, words):
@@ -243,23 +240,6 @@ def test_a_folder_without_permission_is_told_before_the_work(irisjax, tmp_path, 
 
 
 @pytest.mark.parametrize(
-    ("option", "said"),
-    [
-        (("--size", "0x0"), ["--size 0x0", "from 1 to 16384"]),
-        (("--camera", "200,0"), ["--camera", "200,0"]),
-        (("--environment", "garden"), ["garden", "studio"]),
-        (("--environment", "none.exr"), ["none.exr", "No such file"]),
-    ],
-)
-def test_wrong_picture_options_are_refused_before_the_work(
-    irisjax, tmp_path, monkeypatch, option, said
-):
-    monkeypatch.setattr("irisjax.cli.paint._prepare", None)
-    one_line(irisjax("paint", RECIPE, *option, "-o", tmp_path / "eye"), *said)
-    assert not (tmp_path / "eye").exists()
-
-
-@pytest.mark.parametrize(
     ("options", "words"),
     [
         ((), ["a recipe or --type"]),
@@ -269,8 +249,13 @@ def test_wrong_picture_options_are_refused_before_the_work(
         ((RECIPE, "--pupil-radius", "9"), ["9", "4.75"]),
         ((RECIPE, "--seed", "3"), ["--seed", "--type", "each of its coats"]),
         ((RECIPE, "--match", ""), ["--match", "no file or folder"]),
+        ((RECIPE, "--size", "0x0"), ["--size 0x0", "from 1 to 16384"]),
+        ((RECIPE, "--camera", "200,0"), ["--camera", "200,0"]),
+        ((RECIPE, "--environment", "garden"), ["garden", "studio"]),
+        ((RECIPE, "--environment", "none.exr"), ["none.exr", "No such file"]),
     ],
 )
-def test_wrong_options_are_one_line(irisjax, tmp_path, options, words):
-    one_line(irisjax("paint", "--texels", "64", *options, "-o", tmp_path / "eye"), *words)
+def test_wrong_options_are_refused_before_the_work(irisjax, tmp_path, monkeypatch, options, words):
+    monkeypatch.setattr(command, "_prepare", None)
+    one_line(irisjax("paint", *options, "-o", tmp_path / "eye"), *words)
     assert not (tmp_path / "eye").exists()
