@@ -27,6 +27,13 @@ from irisjax.transport.solver import AbstractSolver
 FREE = ("--free", "melanin_load,hemoglobin", "--walkers", "16")
 
 
+def truth_of(path):
+    """Read the parameters that a simulated measurement was made with."""
+    line = path.read_text().split("# truth: ")[1].splitlines()[0]
+    pairs = (pair.split(" = ") for pair in line.split(", "))
+    return {name: float(value) for name, value in pairs}
+
+
 class Quick(AbstractSolver):
     """No light transport: a formula that tells all layers, switches and directions apart."""
 

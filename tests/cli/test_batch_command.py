@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from stand_ins import FREE
+from stand_ins import FREE, truth_of
 
 from irisjax import io
 from irisjax.cli import batch, report
@@ -64,13 +64,6 @@ def copies(eye, tmp_path):
 def rows_of(path):
     with path.open() as file:
         return {row["eye"]: row for row in csv.DictReader(file)}
-
-
-def truth_of(path):
-    """Read the parameters that a simulated measurement was made with."""
-    line = path.read_text().split("# truth: ")[1].splitlines()[0]
-    pairs = (pair.split(" = ") for pair in line.split(", "))
-    return {name: float(value) for name, value in pairs}
 
 
 def columns(path):

@@ -92,21 +92,6 @@ def test_two_spots_and_settings_reach_the_comparison(irisjax, eye, compared, tmp
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("{eye}", "--walkers", "32"), "--compare does not go with --walkers"),
-        (("{eye}", "--max-steps", "9"), "--compare does not go with --max-steps"),
-        (("{eye}", "--resume"), "--compare does not go with --resume"),
-        (("--batch", "{eye}"), "--compare does not go with --batch"),
-    ],
-)
-def test_wrong_input_is_one_line(irisjax, eye, compared, arguments, message):
-    given = (str(eye) if a == "{eye}" else a for a in arguments)
-    one_line(irisjax("fit", "--compare", *given), message)
-    assert not compared
-
-
-@pytest.mark.parametrize(
     ("apart", "said"),
     [
         (10.0, "prefer A to B by odds of 22,000 to 1"),

@@ -102,12 +102,6 @@ def test_a_restarted_scheduler_loses_nothing():
         gc.collect()
 
 
-def test_no_scheduler_is_said(monkeypatch):
-    monkeypatch.setattr("irisjax.cli.engine._CONNECTING", 0.5)
-    with pytest.raises(ValueError, match="no dask scheduler answers there"):
-        list(run_pieces(square, {0: (0,)}, Workers(scheduler="tcp://127.0.0.1:9")))
-
-
 def test_a_refused_run_leaves_no_folder(irisjax, tmp_path, monkeypatch):
     monkeypatch.setattr("irisjax.cli.engine._CONNECTING", 0.5)
     (tmp_path / "eyes.csv").write_text("wavelength,a\n450,0.03\n550,0.02\n650,0.02\n")

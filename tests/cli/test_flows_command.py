@@ -1,11 +1,10 @@
 """`irisjax map --posterior` and `irisjax fit --batch --posteriors amortised`. Transport is `Quick`'s,
-and flows are hardly trained. The first tests need no flow; the others the extra posteriors.
+and flows are hardly trained.
 """
 
 import h5netcdf
 import numpy as np
 import pytest
-from refusals import one_line
 from stand_ins import FREE
 
 from cube_files import GRID
@@ -13,25 +12,6 @@ from irisjax.cli import batch, flows
 from irisjax.cli import map as command
 from irisjax.infer.amortised import train_flow
 from irisjax.io.fits import read_fits
-
-
-def test_options_that_mean_nothing_are_refused(irisjax, quick, eye, tmp_path):
-    one_line(
-        irisjax("map", "cube.hdr", "-o", tmp_path / "maps", "--flows", tmp_path),
-        "--flows means something only with --posterior",
-    )
-    one_line(
-        irisjax("map", "cube.hdr", "-o", tmp_path / "maps", "--seed", "1"),
-        "--seed means something only with --posterior",
-    )
-    several = ("fit", "--batch", eye, "-o", tmp_path / "fits")
-    one_line(irisjax(*several, "--posteriors", "flow"), "--posteriors: unknown 'flow'")
-    one_line(
-        irisjax(*several, "--flows", tmp_path),
-        "--flows means something only with --posteriors amortised",
-    )
-    (tmp_path / "file").write_text("")
-    assert list(tmp_path.iterdir()) == [tmp_path / "file"]
 
 
 @pytest.fixture

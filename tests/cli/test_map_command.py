@@ -124,6 +124,7 @@ def test_a_coarse_level_gives_the_starts_of_large_cubes(irisjax, few_starts, tmp
         (CUBE, {}, ("--ceiling", "0.01"), "no pixel is left to fit: 30 saturated"),
         (CUBE, {}, ("--brightness", "0.3:0.4"), "no pixel is left to fit: 30 masked"),
         (CUBE, {}, ("--brightness", "0.3"), "--brightness: '0.3': write two reflectances"),
+        (CUBE, {}, ("--flows", "flows"), "--flows means something only with --posterior"),
         (CUBE, {}, ("--limbus", "2,2,2,2,0"), "--pupil and --limbus go together"),
         (CUBE, {}, ("--wavelengths", "700:800"), "none is within"),
     ],
