@@ -1,11 +1,13 @@
 """`irisjax compare-groups`: groups of a batch's results, twice-measured eyes, wrong input."""
 
 import csv
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from refusals import one_line
 
+from irisjax.cli import groups as command
 from irisjax.cli import many
 from irisjax.infer.priors import LogNormal, Uniform
 from irisjax.io.fits import COVARIANCES, LIKELIHOOD, covariance_rows
@@ -41,13 +43,13 @@ def table_of(path):
     return {row["parameter"]: row for row in csv.DictReader(lines)}
 
 
-def test_two_groups_differ_by_what_their_eyes_do(irisjax, tmp_path):
+def test_two_groups_differ_by_what_their_eyes_do(irisjax, done, tmp_path):
     a = write(tmp_path / "a", 0.2, status="doubtful")
     b, out = write(tmp_path / "b", 0.4, seed=1), tmp_path / "groups.csv"
-    status, printed, err = irisjax("compare-groups", a, b / "fits.csv", "-o", out)
-    assert status == 0
+    printed, err = done("compare-groups", a, b / "fits.csv", "-o", out)
     assert err == f"irisjax: {a}: 1 eyes are left out: e0 (doubtful)\n"
-    for said in ("11 eyes in a, 12 in b", "shrinkage", "half-normal", "lognormal(0.15, 1.2)"):
+    method = "likelihood of each eye: normal, the fit divided by its prior"
+    for said in ("11 eyes in a, 12 in b", method, "half-normal", "lognormal(0.15, 1.2)"):
         assert said in printed and said in out.read_text()
     rows = table_of(out)
     assert set(rows) == {*PRIORS, "abl_melanin"}
@@ -63,14 +65,12 @@ def test_two_groups_differ_by_what_their_eyes_do(irisjax, tmp_path):
     assert "12 eyes in a" in irisjax("compare-groups", a, b, "--doubtful")[1]
 
 
-def test_draws_replace_fits_where_every_eye_has_them(irisjax, tmp_path):
+def test_draws_replace_fits_where_every_eye_has_them(irisjax, done, tmp_path, monkeypatch):
     a, b = write(tmp_path / "a", 0.2, eyes=4), write(tmp_path / "b", 0.4, eyes=4, seed=1)
     random = np.random.default_rng(0)
     for folder, load in ((a, 0.1), (b, 0.3)):  # other loads than the fits'
-        table = (folder / "fits.csv").read_text().splitlines()
-        table = [
-            f"{x},{tag}" for x, tag in zip(table, ["posterior", *["converged"] * 4], strict=True)
-        ]
+        head, *table = (folder / "fits.csv").read_text().splitlines()
+        table = [f"{head},posterior", *(f"{x},converged" for x in table)]
         (folder / "fits.csv").write_text("\n".join(table))
         for i in range(4):
             (folder / f"e{i}").mkdir()
@@ -82,23 +82,25 @@ def test_draws_replace_fits_where_every_eye_has_them(irisjax, tmp_path):
                 known = {n: PRIORS[n].standard(np.resize(x, 1024)) for n, x in drawn.items()}
                 known["melanin_load"] += np.log(2) / 1.2
                 np.savez(folder / f"e{i}" / LIKELIHOOD, **known)
-    status, printed, _ = irisjax("compare-groups", a, b, "-o", tmp_path / "groups.csv")
-    assert status == 0 and "a mixture fitted to 1024 draws" in printed and "WARNING" not in printed
+    printed, _ = done("compare-groups", a, b, "-o", tmp_path / "groups.csv")
+    assert "a mixture fitted to 1024 draws" in printed and "WARNING" not in printed
     load = table_of(tmp_path / "groups.csv")["melanin_load"]
     assert float(load["mean_a"]) == pytest.approx(0.1, rel=0.1)
     assert float(load["mean_b"]) == pytest.approx(0.6, rel=0.1)
     text = (b / "fits.csv").read_text()
     (b / "fits.csv").write_text(text.replace("converged", "not long enough", 1))
-    assert "normal, the fit divided" in irisjax("compare-groups", a, b)[1]
+    without = Mock(side_effect=ValueError("enough"))
+    monkeypatch.setattr(command, "population", without)
+    one_line(irisjax("compare-groups", a, b), "enough")
+    assert without.call_args.args[2] is None
 
 
-def test_eyes_measured_twice_are_matched_by_name(irisjax, tmp_path):
+def test_eyes_measured_twice_are_matched_by_name(irisjax, done, tmp_path):
     a, b, out = write(tmp_path / "a", 0.2), tmp_path / "b", tmp_path / "pairs.csv"
     write(b, 0.2, eyes=14, off=0.02)  # the same eyes, and two others
     text = (b / "fits.csv").read_text().splitlines()
     (b / "fits.csv").write_text("\n".join([text[0], *text[:0:-1]]))
-    status, printed, _ = irisjax("compare-groups", a, b, "--paired", "-o", out)
-    assert status == 0
+    printed, _ = done("compare-groups", a, b, "--paired", "-o", out)
     assert "12 eyes measured twice" in printed and "Shrout & Fleiss 1979" in printed
     row = table_of(out)["melanin_load"]
     assert 0.97 < float(row["icc_agreement"]) < 1

@@ -1,11 +1,14 @@
 """`irisjax spectrum`, `brdf` and `colour`: results as the library gives them, plots, swatches."""
 
 import contextlib
+import dataclasses
 import importlib
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from PIL import Image
 from refusals import one_line
 from stand_ins import Quick
 
@@ -18,6 +21,7 @@ from irisjax.tissue.iris import LIMITS
 observing = importlib.import_module("irisjax.measure.observe")
 
 GRID = ("--wavelengths", "400:700:100")
+SAMPLED = ("--solver", "monte-carlo", "--photons")
 DEEP = ij.DEPTH_RESOLVED
 
 
@@ -114,7 +118,6 @@ def test_a_brdf_has_the_angles_that_its_anisotropy_takes(irisjax):
     ("light", "scalar", "said"),
     [
         (ColourLight(), [1, 0.99, 1], "luminance 1.0 % low against"),
-        (ColourLight(), [1, 1.02, 1], "luminance 2.0 % high against"),
         (ColourLight(), [1, 1.0001, 1], "luminance within 0.05 % of"),
         (SpectrumLight(), [0.996, 0.994], "values 0.4 to 0.6 % low against"),
         (SpectrumLight(), [0.996, 1.01], "values 1.0 % high to 0.4 % low against"),
@@ -132,25 +135,14 @@ def test_how_far_scalar_theory_is_off_is_said(monkeypatch, light, scalar, said):
 
 @pytest.mark.peer
 def test_brdf_by_photons(irisjax, printed):
-    sampled = ("--solver", "monte-carlo", "--photons", "2000")
-    columns = printed(irisjax("brdf", "--angles", "6", *sampled)[1]).columns
+    columns = printed(irisjax("brdf", "--angles", "6", *SAMPLED, "2000")[1]).columns
     names = ["wavelength_nm", "angle_deg", "azimuth_deg", "brdf_per_sr", "standard_error"]
     assert list(columns) == names
 
 
-def test_equal_seeds_give_equal_bytes_whatever_the_block(irisjax, monkeypatch):
-    arguments = (
-        "spectrum",
-        "--solver",
-        "monte-carlo",
-        "--photons",
-        "300",
-        "--level",
-        "high",
-        *GRID,
-    )
-    status, first, err = irisjax(*arguments, "--seed", "5")
-    assert status == 0
+def test_equal_seeds_give_equal_bytes_whatever_the_block(irisjax, done, monkeypatch):
+    arguments = ("spectrum", *SAMPLED, "300", "--level", "high", *GRID)
+    first, err = done(*arguments, "--seed", "5")
     assert "fewer than 10 photons" in err
     monkeypatch.setattr(observing, "_BLOCK", 4 * 100)
     assert irisjax(*arguments, "--seed", "5")[1] == first
@@ -172,15 +164,13 @@ def test_progress_is_told(irisjax, monkeypatch):
 
     monkeypatch.setattr(measure, "observe", observe)
     monkeypatch.setattr(measure, "tqdm", Bar)
-    assert irisjax("spectrum", "--solver", "monte-carlo", "--photons", "9")[0] == 2
+    assert irisjax("spectrum", *SAMPLED, "9")[0] == 2
     assert told == [9, 3]
 
 
-def test_brdf_over_the_hemisphere(irisjax, quick, printed):
-    status, out, _ = irisjax(
-        "brdf", "--plane", "hemisphere", "--angles", "8", "--wavelengths", "450,650"
-    )
-    assert status == 0
+def test_brdf_over_the_hemisphere(done, quick, printed):
+    over = ("--plane", "hemisphere", "--angles", "8")
+    out, _ = done("brdf", *over, "--wavelengths", "450,650")
     columns = printed(out).columns
     assert columns["brdf_per_sr"].size == 2 * 4 * 8
     assert columns["angle_deg"].max() < 90
@@ -199,31 +189,26 @@ def test_every_parameter_and_switch_is_in_the_header(irisjax, quick, printed):
 
 
 def test_colour_and_swatch(irisjax, quick, tmp_path):
-    import matplotlib.image
-
     path = tmp_path / "swatch.png"
     status, out, err = irisjax("colour", "--level", "low", "--swatch", path)
     assert (status, err) == (0, "")
     assert "inside sRGB" in out
     row = next(line for line in out.splitlines() if line.startswith("sRGB 8 bit")).split()
-    pixels = np.rint(255 * matplotlib.image.imread(path)[..., :3]).astype(int)
+    pixels = np.asarray(Image.open(path).convert("RGB"))
     assert np.unique(pixels.reshape(-1, 3), axis=0).tolist() == [[int(v) for v in row[3:6]]]
     assert row[6] == "#" + "".join(f"{int(v):02x}" for v in row[3:6])
 
 
-def test_colours_out_of_gamut_are_reported(irisjax, quick, monkeypatch, tmp_path):
-    import equinox as eqx
-
+def test_colours_out_of_gamut_are_reported(done, quick, monkeypatch, tmp_path):
     true = measure._observe
 
     def shifted(*arguments, **options):
-        result = true(*arguments, **options)
-        bad = eqx.tree_at(lambda c: c.srgb, result, result.srgb.at[0].set(-0.2))
-        return eqx.tree_at(lambda c: c.in_gamut, bad, np.asarray(False))
+        found = true(*arguments, **options)
+        srgb = found.srgb.at[0].set(-0.2)
+        return dataclasses.replace(found, srgb=srgb, in_gamut=jnp.asarray(False))
 
     monkeypatch.setattr(measure, "_observe", shifted)
-    status, out, _ = irisjax("colour", "--swatch", tmp_path / "swatch.png")
-    assert status == 0
+    out, _ = done("colour", "--swatch", tmp_path / "swatch.png")
     assert "outside sRGB's gamut: the 8-bit values are clipped" in out
 
 
@@ -246,11 +231,10 @@ def test_plots(irisjax, quick, tmp_path, monkeypatch, arguments, magic):
         assert path.read_bytes() == first
 
 
-def test_bands_are_read_and_written(irisjax, printed, quick, tmp_path):
+def test_bands_are_read_and_written(irisjax, done, printed, quick, tmp_path):
     bands = tmp_path / "bands.csv"
     bands.write_text("centre,fwhm\n600,30\n450,20\n")
-    status, out, _ = irisjax("spectrum", "--bands", bands)
-    assert status == 0
+    out, _ = done("spectrum", "--bands", bands)
     found = printed(out)
     np.testing.assert_allclose(found.columns["wavelength_nm"], [450, 600])
     assert found.header["bands"] == str(bands)
