@@ -44,6 +44,18 @@ def irisjax(capsys, monkeypatch):
 
 
 @pytest.fixture
+def done(irisjax):
+    """Run the command, which must succeed; gives standard output and standard error."""
+
+    def run(*arguments):
+        status, *said = irisjax(*arguments)
+        assert status == 0, said
+        return said
+
+    return run
+
+
+@pytest.fixture
 def printed(tmp_path):
     """Header and columns of what the command printed."""
 

@@ -71,7 +71,7 @@ def columns(path):
     return found.wavelengths, found.values
 
 
-def test_batch(irisjax, eye, copies, searched, tmp_path):
+def test_batch(irisjax, done, eye, copies, searched, tmp_path):
     eyes, out = copies("e0", "e1", "e2"), tmp_path / "out"
     (eyes / "broken.csv").write_text("nm,R\n400,oops\n")
     status, _, err = irisjax("fit", "--batch", eyes, "-o", out, *FREE)
@@ -97,7 +97,7 @@ def test_batch(irisjax, eye, copies, searched, tmp_path):
     # The mended eye alone is done again.
     (eyes / "broken.csv").write_bytes(eye.read_bytes())
     assert irisjax("fit", "--batch", eyes, "-o", out, *FREE)[0] == 2
-    assert irisjax("fit", "--batch", eyes, "-o", out, *FREE, "--resume")[0] == 0
+    done("fit", "--batch", eyes, "-o", out, *FREE, "--resume")
     assert all(row["status"] == "ok" for row in rows_of(out / "fits.csv").values())
     wrong = tmp_path / "two.csv"  # a file for all eyes is named in what is said of each
     wrong.write_text("centre,fwhm\n450,20\n550,20\n")
@@ -109,8 +109,7 @@ def test_batch(irisjax, eye, copies, searched, tmp_path):
     (tmp_path / "table.csv").write_text("\n".join(lines))
     # Unlike the files, the table does not say by which process it was simulated.
     by = "--process", "ilit-2006"
-    status, printed, _ = irisjax("fit", "--batch", tmp_path / "table.csv", *FREE, *by)
-    assert status == 0
+    printed, _ = done("fit", "--batch", tmp_path / "table.csv", *FREE, *by)
     listed = list(csv.DictReader(printed.splitlines()))
     assert [row["eye"] for row in listed] == ["a", "b"]
     assert float(listed[0]["melanin_load"]) == pytest.approx(
@@ -140,14 +139,13 @@ def test_another_table_is_not_gone_on_with(irisjax, copies, searched, tmp_path):
     assert "is no table of --batch; --overwrite starts again" in err
 
 
-def test_doubtful_eyes_are_marked_and_counted(irisjax, searched, tmp_path):
+def test_doubtful_eyes_are_marked_and_counted(done, searched, tmp_path):
     """Searched and found, but no model of these data: not "ok"."""
     x = np.arange(400, 701, 10)
     lines = ["nm,fair (%),bright (%)", *(f"{a},{3 + a / 1e3:g},{40 + a / 1e2:g}" for a in x)]
     (tmp_path / "table.csv").write_text("\n".join(lines))
     out = tmp_path / "out"
-    status, _, err = irisjax("fit", "--batch", tmp_path / "table.csv", "-o", out, *FREE)
-    assert status == 0
+    _, err = done("fit", "--batch", tmp_path / "table.csv", "-o", out, *FREE)
     assert "1 of 2 eyes are doubtful: bright (%)" in err
     rows = rows_of(out / "fits.csv")
     assert rows["fair (%)"]["status"] == "ok"

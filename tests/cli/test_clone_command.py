@@ -82,10 +82,9 @@ def _files(folder):
     return {p.name for p in folder.iterdir()}
 
 
-def test_outlines(irisjax, tmp_path, truth, photo):
+def test_outlines(done, tmp_path, truth, photo):
     folder = tmp_path / "new" / "clone"
-    status, out, err = irisjax("clone", photo, "-o", folder, "--stop-after", "outlines")
-    assert status == 0, err
+    out, _ = done("clone", photo, "-o", folder, "--stop-after", "outlines")
     assert str(folder) in out
     assert _files(folder) == {"clone.json", "outlines.png"}
     overlay = np.asarray(Image.open(folder / "outlines.png")).astype(int)
@@ -355,9 +354,8 @@ def test_colours_of_an_eye_and_of_a_folder(irisjax, tmp_path, photo, truth, monk
 
 
 @pytest.mark.slow  # compiles for minutes
-def test_a_whole_clone(irisjax, tmp_path, outlined, photo):
-    status, out, err = irisjax("clone", photo, "-o", tmp_path, *outlined)
-    assert status == 0, err
+def test_a_whole_clone(done, tmp_path, outlined, photo):
+    out, _ = done("clone", photo, "-o", tmp_path, *outlined)
     assert "difference of the pictures" in out
     files = (
         *(name for name in FLAT if name != "deconvolved.png"),  # of a thickness by Eq. 7

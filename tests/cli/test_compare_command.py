@@ -72,10 +72,9 @@ def test_from_file_to_files(irisjax, eye, compared, tmp_path, monkeypatch):
     assert (folder / "compare.png").read_bytes() == b"new"
 
 
-def test_without_a_folder_it_is_printed_only(irisjax, eye, compared, tmp_path, monkeypatch):
+def test_without_a_folder_it_is_printed_only(done, eye, compared, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    status, out, _ = irisjax("fit", eye, "--compare")
-    assert status == 0
+    out, _ = done("fit", eye, "--compare")
     assert "ln evidence" in out
     assert list(tmp_path.iterdir()) == []
 

@@ -114,7 +114,7 @@ def test_a_refused_run_leaves_no_folder(irisjax, tmp_path, monkeypatch):
     assert not target.exists()
 
 
-def test_maps_of_equal_bytes(irisjax, tmp_path, monkeypatch):
+def test_maps_of_equal_bytes(done, tmp_path, monkeypatch):
     """The pixels of a cube fitted here, and by two processes in pieces of eight rows."""
     monkeypatch.setattr("irisjax.cli.map._CHUNK", 256)
     monkeypatch.setattr("irisjax.cli.map.picture", lambda figure, suffix: b"a picture")
@@ -123,8 +123,7 @@ def test_maps_of_equal_bytes(irisjax, tmp_path, monkeypatch):
     given += ["--dark", os.path.join(cubes, "dark.csv"), "--relative-noise", "0.01"]
     given += ["--process", "ilit-2006", "--free", "melanin_load,scattering_scale"]
     for name, more in (("here", ()), ("there", ("--workers", "2"))):
-        status, _, error = irisjax("map", *given, "-o", tmp_path / name, *more)
-        assert status == 0, error
+        done("map", *given, "-o", tmp_path / name, *more)
     here, there = ((tmp_path / name / "maps.nc").read_bytes() for name in ("here", "there"))
     assert here == there
 

@@ -114,12 +114,11 @@ def test_a_measurement_is_read_by_radiative_transfer(irisjax, eye, sampled, tmp_
 
 
 @pytest.fixture
-def seen(irisjax, sampled):
+def seen(done, sampled):
     """Fit a spectrum; returns the observation as the sampler gets it, and what is said of it."""
 
     def fit(path, *options):
-        status, _, err = irisjax("fit", path, *FREE, *options)
-        assert status == 0, err
+        _, err = done("fit", path, *FREE, *options)
         return sampled[-1].problem.observations[0], err
 
     return fit
@@ -207,11 +206,10 @@ def test_nothing_is_done_for_what_cannot_be_sampled(irisjax, eye, quick, monkeyp
         assert chain.read_text() == "mine"
 
 
-def test_fewer_values_than_parameters_is_said(irisjax, sampled, tmp_path):
+def test_fewer_values_than_parameters_is_said(done, sampled, tmp_path):
     path = tmp_path / "one.csv"
     path.write_text("nm,R (%)\n550,4\n")
-    status, _, err = irisjax("fit", path)
-    assert status == 0
+    _, err = done("fit", path)
     assert "1 value for 6 parameters: at least 5 of them keep their priors" in err
 
 
@@ -275,10 +273,9 @@ def test_wrong_input_is_one_line(irisjax, quick, eye, arguments, message):
     one_line(irisjax("fit", *(str(eye) if a == "{eye}" else a for a in arguments)), message)
 
 
-def test_help_names_every_parameter_and_its_prior(irisjax, monkeypatch):
+def test_help_names_every_parameter_and_its_prior(done, monkeypatch):
     monkeypatch.setenv("COLUMNS", "120")
-    status, out, _ = irisjax("fit", "--help")
-    assert status == 0
+    out, _ = done("fit", "--help")
     for name, parameter in PARAMETERS.items():
         (line,) = (
             line for line in out.splitlines() if line.startswith((f" * {name}", f" · {name}"))

@@ -29,17 +29,16 @@ def trained(quick, monkeypatch):
 
 
 @pytest.mark.peer
-def test_posteriors_of_a_cube(irisjax, trained, monkeypatch, tmp_path):
+def test_posteriors_of_a_cube(done, trained, monkeypatch, tmp_path):
     monkeypatch.setattr(command, "picture", lambda figure, suffix: b"a picture")
     made, out, grid = tmp_path / "made", tmp_path / "maps", ",".join(f"{x:g}" for x in GRID)
     size = ("--size", 16, "--wavelengths", grid, "--process", "ilit-2006")
-    assert irisjax("simulate-cube", "-o", made, *size)[0] == 0
+    done("simulate-cube", "-o", made, *size)
     given = ("map", made / "cube.hdr", "--white", made / "white.csv", "--dark", made / "dark.csv")
     given = (*given, "--limbus", "7.5,7.5,7.68,7.68,0", "--pupil", "7.5,7.5,2.56,2.56,0")
     given = (*given, "--free", "melanin_load,hemoglobin", "--fix", "gain=1")
     given = (*given, "--posterior", "--flows", tmp_path / "known")
-    status, _, err = irisjax(*given, "-o", out)
-    assert status == 0, err
+    _, err = done(*given, "-o", out)
     assert "training a flow" in err
     with h5netcdf.File(out / "maps.nc") as maps:
         good = maps["flag"][...] == 0
@@ -53,14 +52,14 @@ def test_posteriors_of_a_cube(irisjax, trained, monkeypatch, tmp_path):
             assert 0.5 < np.median(ratio) < 2
     assert (out / "efficiency.png").exists()
     # A second cube of the same camera.
-    status, _, err = irisjax(*given, "-o", tmp_path / "again")
-    assert status == 0 and "training" not in err
+    _, err = done(*given, "-o", tmp_path / "again")
+    assert "training" not in err
     assert len(trained) == 1
     assert (tmp_path / "again" / "maps.nc").read_bytes() == (out / "maps.nc").read_bytes()
 
 
 @pytest.mark.peer
-def test_posteriors_of_a_batch(irisjax, eye, trained, monkeypatch, tmp_path):
+def test_posteriors_of_a_batch(done, eye, trained, monkeypatch, tmp_path):
     eyes, out = tmp_path / "eyes", tmp_path / "out"
     eyes.mkdir()
     for name in ("a", "b", "c"):
@@ -70,8 +69,7 @@ def test_posteriors_of_a_batch(irisjax, eye, trained, monkeypatch, tmp_path):
         batch.report, "report_eye", lambda *a, **_: sampled.append(a[1].name) or True
     )
     given = ("fit", "--batch", eyes, "-o", out, "--posteriors", "amortised", *FREE)
-    status, _, err = irisjax(*given)
-    assert status == 0, err
+    done(*given)
     rows = [line.split(",") for line in (out / "fits.csv").read_text().splitlines()]
     found = [dict(zip(rows[0], row, strict=True)) for row in rows[1:]]
     assert [row["posterior"] for row in found] == ["converged"] * 3
@@ -82,5 +80,5 @@ def test_posteriors_of_a_batch(irisjax, eye, trained, monkeypatch, tmp_path):
     assert len(list((out / "flows").iterdir())) == 1
     # Too few effective draws: a chain.
     monkeypatch.setattr(batch, "EFFICIENT", 2.0)
-    assert irisjax(*given, "--overwrite")[0] == 0
+    done(*given, "--overwrite")
     assert sampled == ["a", "b", "c"] and len(trained) == 1

@@ -38,12 +38,11 @@ def made(irisjax, few_starts, tmp_path, monkeypatch):
     return folder
 
 
-def test_a_cube_and_its_maps(irisjax, made, tmp_path):
+def test_a_cube_and_its_maps(done, made, tmp_path):
     out = tmp_path / "maps"
     given = (made / "cube.hdr", "--white", made / "white.csv", "--dark", made / "dark.csv")
     given = (*given, *FREE, *OUTLINES)
-    status, printed, err = irisjax("map", *given, "--fix", "gain=1", "-o", out)
-    assert status == 0, err
+    printed, err = done("map", *given, "--fix", "gain=1", "-o", out)
     assert "melanin_load" in printed
     assert "256 pixels: " in err and "masked" in err
     names = {path.name for path in out.iterdir()}

@@ -64,12 +64,10 @@ def unsearched(monkeypatch):
 
 
 @pytest.mark.usefixtures("unsearched")
-def test_paint_is_matched_to_a_flat_picture_and_can_be_painted_again(irisjax, tmp_path, recipe):
+def test_paint_is_matched_to_a_flat_picture_and_can_be_painted_again(done, tmp_path, recipe):
     target, folder = _flat(tmp_path / "flat.png", alpha=True), tmp_path / "eye"
-    status, out, err = irisjax(
-        *("paint", recipe, "--match", target, "--retouch", "2", *SMALL, "-o", folder)
-    )
-    assert status == 0 and "the match was stopped after 300 steps" in err
+    out, err = done(*("paint", recipe, "--match", target, "--retouch", "2", *SMALL, "-o", folder))
+    assert "the match was stopped after 300 steps" in err
     assert out.startswith("mean colour difference") and "4 coats" in out
     told = json.loads((folder / "match.json").read_text())
     assert told["target"] == "flat.png"
@@ -84,22 +82,21 @@ def test_paint_is_matched_to_a_flat_picture_and_can_be_painted_again(irisjax, tm
     assert [c.component for c in used.coats] == ["base", "limbus", "scan", "scan"]
     assert [c.parameters["file"] for c in used.coats[2:]] == ["retouch-1.png", "retouch-2.png"]
     again = tmp_path / "other" / "eye"
-    assert irisjax("paint", folder / "recipe.toml", *SMALL, "-o", again)[0] == 0
+    done("paint", folder / "recipe.toml", *SMALL, "-o", again)
     for coat in sorted((folder / "coats").iterdir()):
         there = read_image(again / "coats" / coat.name).pixels
         assert np.abs(there - read_image(coat).pixels).max() < 3 / 255  # scans have 8 bits
 
 
 @pytest.mark.slow
-def test_without_a_recipe_coats_of_the_nearest_colour_are_matched(irisjax, tmp_path):
+def test_without_a_recipe_coats_of_the_nearest_colour_are_matched(done, tmp_path):
     """A scene of tissue, with the pupil that it has."""
     scene = tmp_path / "scene.toml"
     scene.write_text(
         '[iris]\npreset = "brown"\n[maps]\nuniform = true\n[eye]\npupil_radius = 2.4\n'
     )
     folder = tmp_path / "eye"
-    status, out, err = irisjax(*("paint", "--match", scene, "--retouch", "0", *SMALL, "-o", folder))
-    assert status == 0, err
+    out, _ = done(*("paint", "--match", scene, "--retouch", "0", *SMALL, "-o", folder))
     assert "12 coats" in out  # of brown eyes
     used = read_recipe(folder / "recipe.toml")
     assert used.pupil_radius / 5.77 == pytest.approx(2.4 / 6.0, rel=0.1)

@@ -60,7 +60,7 @@ def undrawn(monkeypatch, bloodless):
 
 
 @pytest.mark.slow  # the renderer of paint compiles for half a minute
-def test_an_eye_is_drawn(irisjax, tmp_path, monkeypatch):
+def test_an_eye_is_drawn(done, tmp_path, monkeypatch):
     """Black on white paper covers; the picture's top is the eye's."""
     monkeypatch.setattr(command, "_SMALL", (120, 90))
     scan = np.full((32, 32), 255, np.uint8)
@@ -71,8 +71,7 @@ def test_an_eye_is_drawn(irisjax, tmp_path, monkeypatch):
         '[[coat]]\ncomponent = "base"\npaints = "titanium white"\n[[coat]]\ncomponent = "scan"\n'
         'parameters = { file = "scan.png" }\npaints = ["cadmium red", "ultramarine"]\n'
     )
-    status, _, err = irisjax("paint", recipe, *SMALL, "-o", tmp_path / "eye")
-    assert status == 0, err
+    done("paint", recipe, *SMALL, "-o", tmp_path / "eye")
     eye = _pixels(tmp_path / "eye" / "eye.png")
     assert eye.shape == (90, 120, 3)
     assert eye[45, 60].max() == 0  # the pupil
@@ -81,8 +80,7 @@ def test_an_eye_is_drawn(irisjax, tmp_path, monkeypatch):
     assert _pixels(tmp_path / "eye" / "progression.png").shape == (90, 240, 3)
     # The recipe as used lies elsewhere and finds the scan all the same.
     again = tmp_path / "deeper" / "again"
-    status, _, err = irisjax("paint", tmp_path / "eye" / "recipe.toml", *SMALL, "-o", again)
-    assert status == 0, err
+    done("paint", tmp_path / "eye" / "recipe.toml", *SMALL, "-o", again)
     assert (again / "eye.png").read_bytes() == (tmp_path / "eye" / "eye.png").read_bytes()
 
 
@@ -108,11 +106,10 @@ def test_options_reach_the_scene(irisjax, tmp_path, undrawn, one_coat):
 
 
 def test_a_recipe_becomes_an_eye_its_coats_and_the_recipe_as_used(
-    irisjax, tmp_path, undrawn, one_coat
+    irisjax, done, tmp_path, undrawn, one_coat
 ):
     folder = tmp_path / "new" / "green"
-    status, out, err = irisjax("paint", RECIPE, *SMALL, "-o", folder)
-    assert status == 0, err
+    out, _ = done("paint", RECIPE, *SMALL, "-o", folder)
     assert out.startswith("6 coats")
     made = {"eye.png", "progression.png", "recipe.toml", "coats"}
     assert {p.name for p in folder.iterdir()} == made
@@ -124,7 +121,7 @@ def test_a_recipe_becomes_an_eye_its_coats_and_the_recipe_as_used(
     # Other paints, another eye; a file in the folder is replaced when asked.
     before = _pixels(coats[0])
     again = (*SMALL, "-o", folder, "--overwrite")
-    assert irisjax("paint", RECIPE, "--mixing", "kubelka-munk", *again)[0] == 0
+    done("paint", RECIPE, "--mixing", "kubelka-munk", *again)
     assert np.abs(_pixels(coats[0]) - before).max() > 5
     assert read_recipe(folder / "recipe.toml").mixing == "kubelka-munk"
     # Of fewer coats none of the former are left, and nothing of a match, of tissue and meshes; what
@@ -135,7 +132,7 @@ def test_a_recipe_becomes_an_eye_its_coats_and_the_recipe_as_used(
     for name in (*made, *kept):
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text("of before")
-    assert irisjax("paint", one_coat, *again)[0] == 0
+    done("paint", one_coat, *again)
     assert {p.relative_to(folder).as_posix() for p in folder.rglob("*.*")} == {
         *("eye.png", "progression.png", "recipe.toml", "coats/01_base.png", *kept)
     }
@@ -171,14 +168,13 @@ def test_a_former_coat_that_is_a_scan_now_stays(irisjax, tmp_path, undrawn):
     assert read_recipe(tmp_path / "recipe.toml").scans()
 
 
-def test_a_type_of_eye_has_the_papers_number_of_coats(irisjax, tmp_path, undrawn, monkeypatch):
+def test_a_type_of_eye_has_the_papers_number_of_coats(done, tmp_path, undrawn, monkeypatch):
     """The tissue is one of uniform maps: what is nearest to paint is the library's business."""
     maps = {name: np.full((12, 6), 0.3) for name in ("eumelanin", "pheomelanin", "stroma_depth")}
     found = Tissue(ij.Iris(), IrisMaps(**maps), 8.0, Difference(9.0, 20.0))
     monkeypatch.setattr(command, "nearest_tissue", lambda *_: found)
     options = ("--type", "smeared", "--colour", "brown", *SMALL, "-o", tmp_path / "eye")
-    status, out, err = irisjax("paint", *options, "--tissue", "--meshes", "ply")
-    assert status == 0, err
+    out, _ = done("paint", *options, "--tissue", "--meshes", "ply")
     assert "12 coats" in out and "of the nearest tissue: 9.0 (20.0)" in out
     # As tissue it is a scene like any other, with the painted eye's pupil.
     file = read_scene(tmp_path / "eye" / "tissue" / "scene.toml")
