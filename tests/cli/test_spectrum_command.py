@@ -5,6 +5,7 @@ import dataclasses
 import importlib
 from types import SimpleNamespace
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -16,7 +17,9 @@ import irisjax as ij
 from irisjax.anatomy.media import Media
 from irisjax.cli import measure
 from irisjax.cli.light import ColourLight, SpectrumLight
+from irisjax.measure.polarimeter import PolarisedReading
 from irisjax.tissue.iris import LIMITS
+from irisjax.transport.solution import RESULTS, Absorbed
 
 observing = importlib.import_module("irisjax.measure.observe")
 
@@ -260,3 +263,46 @@ def test_blood_by_its_amount_and_its_oxygen(irisjax, printed, quick, tmp_path):
     both = ("--saturation", "0.5", "--oxyhemoglobin", "0.1")
     one_line(irisjax("spectrum", *both), "--saturation sets both haemoglobins")
     one_line(irisjax("spectrum", "--saturation", "2"), "saturation = 2 is outside")
+
+
+WAVELENGTHS = np.array([450.0, 620.0])
+
+
+@pytest.fixture
+def observed(monkeypatch):
+    """Readings of polarised light that are known; what is asked for."""
+    half, asked = jnp.full(2, 0.5), []
+    absorbed = Absorbed(half, half, half)
+    reading = PolarisedReading(
+        *(jnp.asarray(WAVELENGTHS), half, None, RESULTS.successful, absorbed),
+        *(half, None, "degree of linear polarisation", "", half, jnp.ones((2, 4))),
+    )
+    monkeypatch.setattr(measure, "observe", lambda *given, **_: asked.append(given) or reading)
+    return asked
+
+
+CO_POLARISED = {"setting": "parallel", "cos_exit": "hemisphere", "polariser": np.radians(30)}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "make", "how"),
+    [
+        ("cross-polarised", ij.Analyser, {"setting": "crossed"}),
+        ("co-polarised --exit-deg hemisphere --polariser-deg 30", ij.Analyser, CO_POLARISED),
+        ("degree-of-polarisation", ij.Polarimeter, {"cos_exit": np.sqrt(0.5)}),
+    ],
+)
+def test_polarimeters_are_the_librarys(irisjax, observed, printed, arguments, make, how):
+    said = ("--wavelengths", "450,620", "--level", "low", "--instrument", *arguments.split())
+    status, out, err = irisjax("spectrum", *said)
+    assert (status, err) == (0, "")
+    ((iris, found, solver),) = observed
+    assert eqx.tree_equal(iris, ij.Iris.of_level("low"), rtol=1e-12)
+    assert eqx.tree_equal(found, make(WAVELENGTHS, **how), rtol=1e-12)
+    assert solver.process == ij.POLARISED
+    header, columns = printed(out)
+    assert (header["process"], header["polarised"]) == ("depth-resolved", "yes")
+    assert arguments.split("-")[0] in header["simulated"]
+    assert "photographs" in header["approximation"]
+    assert columns["degree_of_linear_polarisation"].tolist() == [0.5, 0.5]
+    np.testing.assert_allclose(columns["angle_deg"], np.degrees(0.5))
