@@ -79,6 +79,20 @@ def eye(tmp_path_factory):
 
 
 @pytest.fixture
+def copies(eye, tmp_path):
+    """A folder with copies of the spectrum `eye`."""
+
+    def of(*names):
+        folder = tmp_path / "eyes"
+        folder.mkdir()
+        for name in names:
+            (folder / f"{name}.csv").write_bytes(eye.read_bytes())
+        return folder
+
+    return of
+
+
+@pytest.fixture
 def sampled(quick, monkeypatch):
     """`irisjax fit` without its search; the calls of the sampler."""
     return without_search(monkeypatch)

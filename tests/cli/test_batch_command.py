@@ -47,20 +47,6 @@ def searched(quick, monkeypatch):
     return sizes
 
 
-@pytest.fixture
-def copies(eye, tmp_path):
-    """A folder with copies of the spectrum."""
-
-    def of(*names):
-        folder = tmp_path / "eyes"
-        folder.mkdir()
-        for name in names:
-            (folder / f"{name}.csv").write_bytes(eye.read_bytes())
-        return folder
-
-    return of
-
-
 def rows_of(path):
     with path.open() as file:
         return {row["eye"]: row for row in csv.DictReader(file)}

@@ -33,10 +33,8 @@ def test_posteriors_of_a_cube(done, trained, monkeypatch, tmp_path):
     monkeypatch.setattr(command, "picture", lambda figure, suffix: b"a picture")
     made, out, grid = tmp_path / "made", tmp_path / "maps", ",".join(f"{x:g}" for x in GRID)
     size = ("--size", 16, "--wavelengths", grid, "--process", "ilit-2006")
-    done("simulate-cube", "-o", made, *size)
-    given = ("map", made / "cube.hdr", "--white", made / "white.csv", "--dark", made / "dark.csv")
-    given = (*given, "--limbus", "7.5,7.5,7.68,7.68,0", "--pupil", "7.5,7.5,2.56,2.56,0")
-    given = (*given, "--free", "melanin_load,hemoglobin", "--fix", "gain=1")
+    line, _ = done("simulate-cube", "-o", made, *size)
+    given = (*line.split()[1:], "--free", "melanin_load,hemoglobin", "--fix", "gain=1")
     given = (*given, "--posterior", "--flows", tmp_path / "known")
     _, err = done(*given, "-o", out)
     assert "training a flow" in err
@@ -59,11 +57,8 @@ def test_posteriors_of_a_cube(done, trained, monkeypatch, tmp_path):
 
 
 @pytest.mark.peer
-def test_posteriors_of_a_batch(done, eye, trained, monkeypatch, tmp_path):
-    eyes, out = tmp_path / "eyes", tmp_path / "out"
-    eyes.mkdir()
-    for name in ("a", "b", "c"):
-        (eyes / f"{name}.csv").write_bytes(eye.read_bytes())
+def test_posteriors_of_a_batch(done, copies, trained, monkeypatch, tmp_path):
+    eyes, out = copies("a", "b", "c"), tmp_path / "out"
     sampled = []
     monkeypatch.setattr(
         batch.report, "report_eye", lambda *a, **_: sampled.append(a[1].name) or True

@@ -2,7 +2,7 @@
 
 import dataclasses
 import os
-import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import jax.numpy as jnp
@@ -163,11 +163,8 @@ def test_the_folder_stays_small(folder, made):
 
 
 def test_many_at_once_get_the_same_file(folder, made):
-    threads = [threading.Thread(target=cached_tables, args=(SCENE,)) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(cached_tables, [SCENE] * 4))
     (file,) = folder.iterdir()
     assert compiled._read_tables(file).flux.shape == (2, 5, 5, 3)
 

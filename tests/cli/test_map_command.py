@@ -14,7 +14,7 @@ from irisjax.plot import flags_figure, maps_figure
 from scene_files import without_growth
 
 FREE = ("--free", "melanin_load,abl_fraction,hemoglobin")
-OUTLINES = ("--limbus", "7.5,7.5,7.68,7.68,0", "--pupil", "7.5,7.5,2.56,2.56,0")
+OUTLINES = "--limbus 7.5,7.5,7.68,7.68,0 --pupil 7.5,7.5,2.56,2.56,0"
 
 
 @pytest.fixture
@@ -25,24 +25,16 @@ def few_starts(quick, monkeypatch):
     monkeypatch.setattr(command, "flags_figure", lambda *_: None)
 
 
-@pytest.fixture
-def made(irisjax, few_starts, tmp_path, monkeypatch):
-    """A simulated cube of 16 by 16 pixels."""
+def test_a_cube_and_its_maps(done, few_starts, tmp_path, monkeypatch):
+    """A simulated cube of 16 by 16 pixels, by the command that is printed for it."""
     without_growth(monkeypatch)
-    folder, grid = tmp_path / "cube", ",".join(f"{x:g}" for x in GRID)
+    made, out, grid = tmp_path / "cube", tmp_path / "maps", ",".join(f"{x:g}" for x in GRID)
     size = ("--process", "depth-resolved", "--size", 16, "--wavelengths", grid)
-    size = (*size, "--relative-noise", 0.005)
-    status, printed, err = irisjax("simulate-cube", "-o", folder, *size)
-    assert (status, err) == (0, "")
-    assert printed.startswith(f"irisjax map {folder}/cube.hdr --white {folder}/white.csv --dark ")
-    return folder
-
-
-def test_a_cube_and_its_maps(done, made, tmp_path):
-    out = tmp_path / "maps"
-    given = (made / "cube.hdr", "--white", made / "white.csv", "--dark", made / "dark.csv")
-    given = (*given, *FREE, *OUTLINES)
-    printed, err = done("map", *given, "--fix", "gain=1", "-o", out)
+    line, err = done("simulate-cube", "-o", made, *size, "--relative-noise", 0.005)
+    references = f"--white {made}/white.csv --dark {made}/dark.csv"
+    assert (line, err) == (f"irisjax map {made}/cube.hdr {references} {OUTLINES}\n", "")
+    given = (*line.split()[1:], *FREE, "--fix", "gain=1")
+    printed, err = done(*given, "-o", out)
     assert "melanin_load" in printed
     assert "256 pixels: " in err and "masked" in err
     names = {path.name for path in out.iterdir()}

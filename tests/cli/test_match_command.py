@@ -29,14 +29,13 @@ def recipe(tmp_path):
     return path
 
 
-def _flat(path, alpha=False):
+def _flat(path):
     """Red above and blue below, as a flat picture of an iris; nothing is known at its right."""
     pixels = np.zeros((96, 96, 4), np.uint8)
     pixels[..., 3] = 255
     pixels[:48, :, 0], pixels[48:, :, 2] = 150, 120
-    if alpha:
-        pixels[:, 64:] = 255, 255, 255, 0
-    Image.fromarray(pixels if alpha else pixels[..., :3]).save(path)
+    pixels[:, 64:] = 255, 255, 255, 0
+    Image.fromarray(pixels).save(path)
     return path
 
 
@@ -65,7 +64,7 @@ def unsearched(monkeypatch):
 
 @pytest.mark.usefixtures("unsearched")
 def test_paint_is_matched_to_a_flat_picture_and_can_be_painted_again(done, tmp_path, recipe):
-    target, folder = _flat(tmp_path / "flat.png", alpha=True), tmp_path / "eye"
+    target, folder = _flat(tmp_path / "flat.png"), tmp_path / "eye"
     out, err = done(*("paint", recipe, "--match", target, "--retouch", "2", *SMALL, "-o", folder))
     assert "the match was stopped after 300 steps" in err
     assert out.startswith("mean colour difference") and "4 coats" in out

@@ -183,12 +183,12 @@ def test_wrong_options_are_one_line(irisjax, tmp_path, words):
 
 
 @pytest.fixture
-def draw_to(irisjax):
+def draw_to(done):
     """Draw the scene into a file; returns what is said of it."""
 
     def run(name, *options):
-        status, out, err = irisjax("render", "scene.toml", *options, "-o", name)
-        assert (status, out) == (0, ""), err
+        out, err = done("render", "scene.toml", *options, "-o", name)
+        assert out == ""
         return err
 
     return run
