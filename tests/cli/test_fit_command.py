@@ -309,4 +309,5 @@ def test_one_eye_by_the_model_itself(irisjax, spectrum, tmp_path):
     for how in ("--resume", "--overwrite"):
         assert irisjax(*arguments, how)[0] == 0
         assert (folder / "summary.csv").read_bytes() == before
-    one_line(irisjax(*arguments, "--resume", "--seed", 1), "")
+    status, _, err = irisjax(*arguments, "--resume", "--seed", 1)
+    assert status == 2 and "it cannot be resumed with these" in err
