@@ -90,6 +90,14 @@ def test_two_spots_and_settings_reach_the_comparison(irisjax, eye, compared, tmp
     np.testing.assert_allclose(problem.noise.discrepancy, 0.02)
 
 
+def test_it_takes_neither_samplers_nor_batches(irisjax, eye, compared):
+    sampled = irisjax("fit", eye, "--compare", "--walkers", "32", "--max-steps", "9")
+    one_line(sampled, "--compare does not go with --walkers, --max-steps")
+    many = irisjax("fit", "--batch", eye, "--compare", "--resume")
+    one_line(many, "--compare does not go with --batch, --resume")
+    assert not compared
+
+
 @pytest.mark.parametrize(
     ("apart", "said"),
     [

@@ -264,8 +264,6 @@ def test_short_chains_end_with_status_three(irisjax, eye, sampled, monkeypatch):
             ("--batch", "{eye}", "--flows", "flows", "-o", "fits"),
             "--flows means something only with --posteriors amortised",
         ),
-        (("{eye}", "--compare", "--walkers", "32"), "--compare does not go with --walkers"),
-        (("--compare", "--batch", "{eye}", "--resume"), "does not go with --batch, --resume"),
         (("{eye}", "-o", "{eye}"), "is a file, not a folder"),
     ],
 )
