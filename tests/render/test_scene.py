@@ -38,11 +38,6 @@ def maps_of(**changes):
     return IrisMaps(**{name: np.broadcast_to(v, (48, 24)) for name, v in even.items()})
 
 
-def tables_of(eye, request):
-    """Made where a cornea needs them."""
-    return None if eye.cornea is None else request.getfixturevalue("tables")
-
-
 def brdf_in_bands(incidence, exits):
     """The solver's BRDF in colours, (exits, 3); one program for all numbers of exits."""
     bands, every = colour_bands(), np.ones(12 * 9)
@@ -87,10 +82,10 @@ def test_through_a_cornea(tables):
     np.testing.assert_allclose((picture - mirrored)[row, column], expected, rtol=5e-3)
 
 
-@pytest.mark.parametrize("eye", [BARE, CLOSE], ids=["bare", "cornea"])
-def test_mirrored_light_mirrored_picture(eye, request):
-    used = tables_of(eye, request)
-    right, left, up = (np.asarray(draw(scene(eye, 0.7, a), used)) for a in (0.4, np.pi - 0.4, -0.4))
+def test_mirrored_light_mirrored_picture(tables):
+    right, left, up = (
+        np.asarray(draw(scene(CLOSE, 0.7, azimuth), tables)) for azimuth in (0.4, np.pi - 0.4, -0.4)
+    )
     assert right.max() > 0
     np.testing.assert_allclose(left, right[:, ::-1], atol=1e-9)
     np.testing.assert_allclose(up, right[::-1], atol=1e-9)
@@ -159,7 +154,6 @@ def test_cornea_of_air_is_no_cornea():
 EXTREMES = {
     "light behind": (CLOSE, {"polar": 3.0}),
     "light across": (CLOSE, {"polar": np.pi / 2}),
-    "camera across": (CLOSE, {"camera": Camera(polar=1.55, size=(12, 9))}),
     "camera behind": (CLOSE, {"camera": Camera(polar=3.1, size=(12, 9))}),
     "camera above": (CLOSE, {"camera": Camera(polar=np.pi / 2, azimuth=np.pi / 2, size=(12, 9))}),
     "pupil 1 mm": (CLOSE.replace(pupil_radius=0.5), {}),
@@ -171,10 +165,10 @@ EXTREMES = {
 
 
 @pytest.mark.parametrize("name", list(EXTREMES))
-def test_extremes_are_finite_and_no_darker_than_black(name, request):
+def test_extremes_are_finite_and_no_darker_than_black(name, tables):
     eye, options = EXTREMES[name]
     made = scene(eye, **options)
-    picture = np.asarray(draw(made, tables_of(eye, request)))
+    picture = np.asarray(draw(made, None if eye.cornea is None else tables))
     width, height = made.camera.size
     assert picture.shape == (height, width, 3)
     assert np.isfinite(picture).all()
