@@ -12,6 +12,8 @@ from irisjax.grow.vessels import veins
 from irisjax.measure.colour import colour_of, tristimulus_matrix
 from irisjax.render.camera import Camera
 from irisjax.render.outside import (
+    DEEP,
+    DEEP_CHORD,
     DEEPEST,
     SHALLOW,
     Blood,
@@ -19,18 +21,15 @@ from irisjax.render.outside import (
     colour_table,
     sample_veins,
     sclera_reflectance,
-    veil,
 )
 from irisjax.render.project import trace_tear_film
 from irisjax.tissue.diffusion import slab_reflectance
 
 GRID = np.arange(380.0, 781.0, 5.0)
 
-
 meet = jax.jit(meet_sclera)
 look = jax.jit(lambda veins, eye, point: sample_veins(veins, *vein_place(eye, point)))
 bulk_on_grid = jax.jit(lambda sclera: bulk_reflectance(sclera, GRID))
-on_grid = jax.jit(lambda blood: sclera_reflectance(Sclera(), GRID, blood))
 
 
 def bloody(depth):
@@ -40,13 +39,6 @@ def bloody(depth):
 @pytest.fixture(scope="module")
 def drawn():
     return veins(Eye(), key=jax.random.key(3))
-
-
-def test_without_blood_the_bulk():
-    bulk = np.asarray(bulk_on_grid(Sclera()))
-    np.testing.assert_allclose(on_grid(bloody(0.0)), bulk)
-    np.testing.assert_allclose(on_grid(Blood(*jnp.asarray([0.1, 0.0, 0.0]))), bulk)
-    assert ((bulk > 0.4) & (bulk < 0.8)).all()
 
 
 def test_a_slab_is_what_its_two_fluxes_integrate_to():
@@ -62,7 +54,8 @@ def test_a_slab_is_what_its_two_fluxes_integrate_to():
 
 
 def test_yellowing_takes_blue_from_the_white():
-    whites = (bulk_on_grid(Sclera(yellowing=y)) for y in (0.0, 1.0, 4.0))
+    whites = [np.asarray(bulk_on_grid(Sclera(yellowing=y))) for y in (0.0, 1.0, 4.0)]
+    assert ((whites[1] > 0.4) & (whites[1] < 0.8)).all()
     child, usual, old = (float(colour_of(GRID, white).lab[2]) for white in whites)
     assert child < 0 < usual < 6 < old
 
@@ -83,38 +76,26 @@ def test_the_white_mirrors_as_much_as_its_gloss():
     np.testing.assert_allclose(half / full, [1, 0.5], rtol=1e-6)
 
 
-def test_thick_vein_is_dark_red():
-    x = np.array([450.0, 550.0, 650.0])
-    share = sclera_reflectance(Sclera(), x, bloody(0.25)) / bulk_reflectance(Sclera(), x)
-    assert share[0] < 0.15 and share[1] < 0.15 and share[2] > 0.7
-    assert (np.asarray(on_grid(Blood(*jnp.asarray([50.0, 1.0, 1.0])))) >= 0).all()
-    thick, thin = (np.asarray(on_grid(bloody(d))) for d in (0.1, 0.01))
-    assert (thick <= thin).all()
-
-
 def test_beer_lambert_by_hand():
+    """Two layers of vessels, each with its cover, and no blood at all."""
     # 560 nm: 32613.2 (HbO2) and 53788 (Hb) /cm/M, decadic, in Prahl's table.
     mu = np.log(10) * 0.1 * 2.0e-3 * (0.8 * 32613.2 + 0.2 * 53788.0)  # 17 per mm
-    v = 0.75 * 2.71 * (560 / 500) ** -1.627 * SHALLOW
-    v = v / (1 + v)
+    scattered = 0.75 * 2.71 * (560 / 500) ** -1.627 * np.array([SHALLOW, DEEP])
+    clear = 1 - scattered / (1 + scattered)
     sclera, x = Sclera(hemoglobin=2.0, saturation=0.8), np.array([560.0])
-    by_hand = bulk_reflectance(sclera, x) * (v + (1 - v) * np.exp(-2 * mu * 0.03))
-    np.testing.assert_allclose(sclera_reflectance(sclera, x, bloody(0.03)), by_hand, rtol=1e-10)
+    bulk = bulk_reflectance(sclera, x)
+    absorbed = clear * -np.expm1(-2 * mu * np.array([0.03, DEEP_CHORD]))
+    for cover, deep in ((None, None), (0.4, None), (0.4, 0.7), (0.0, 0.0)):
+        blood = Blood(*(None if v is None else jnp.asarray(v) for v in (0.03, cover, deep)))
+        share = (1 - (1.0 if cover is None else cover) * absorbed[0]) * (
+            1 - (deep or 0.0) * absorbed[1]
+        )
+        found = sclera_reflectance(sclera, x, blood)
+        np.testing.assert_allclose(found, bulk * share, rtol=1e-10)
 
 
-def test_deep_vessels_are_fainter_and_bluer():
-    shallow = np.asarray(on_grid(bloody(0.08)))
-    deep = np.asarray(on_grid(Blood(jnp.asarray(0.0), None, jnp.asarray(1.0))))
-    assert (deep >= shallow - 1e-12).all()
-    lost = 1 - deep / np.asarray(bulk_on_grid(Sclera()))
-    blue, green = np.searchsorted(GRID, 450), np.searchsorted(GRID, 545)
-    assert lost[blue] < lost[green]
-    assert veil(np.array([450.0]), 0.3)[0] > veil(np.array([650.0]), 0.3)[0]
-
-
-@pytest.mark.parametrize("space", ["XYZ", "linear sRGB"])
-def test_table_errs_by_1e_4(space):
-    weights, _ = tristimulus_matrix(GRID, space)
+def test_table_errs_by_1e_4():
+    weights = np.concatenate([tristimulus_matrix(GRID, s)[0] for s in ("XYZ", "linear sRGB")])
     grids = np.concatenate([np.linspace(0, 0.02, 400), np.linspace(0.02, DEEPEST, 400)])
     blood = Blood(*jnp.asarray([grids, *np.random.default_rng(0).random((2, grids.size))]))
 
@@ -137,7 +118,6 @@ def test_map_values(drawn):
         a = np.asarray(getattr(drawn, name))
         assert a.shape == (1024, 512) and np.isfinite(a).all() and a.min() >= 0
         assert 0 < a.max() <= most
-    assert drawn.depth.max() < 0.12
     one, other = coarse_veins(), coarse_veins(key=4)
     again = coarse_veins.__wrapped__()
     assert all(
@@ -147,22 +127,20 @@ def test_map_values(drawn):
 
 
 @functools.cache
-def coarse_veins(density=1.0, key=0):
+def coarse_veins(density=1.0, key=3):
     eye = Eye(sclera=Sclera(veins=density))
-    return veins(eye, shape=(256, 128), key=jax.random.key(key))
+    return veins(eye, shape=(512, 256), key=jax.random.key(key))
 
 
 def test_density():
     assert coarse_veins(0.0) is None
-    few, usual, many = coarse_veins(0.3), coarse_veins(), coarse_veins(2.0)
-    cover = [drawn.cover.mean() for drawn in (few, usual, many)]
-    assert cover[0] < cover[1] < cover[2]
+    few, usual, many = (coarse_veins(density).cover.mean() for density in (0.3, 1.0, 2.0))
+    assert few < usual < many
 
 
 def test_cover_does_not_depend_on_the_texture(drawn):
     """A stroke keeps its area in coarse textures."""
-    coarse = veins(Eye(), shape=(512, 256), key=jax.random.key(3))
-    np.testing.assert_allclose(coarse.cover.mean(), drawn.cover.mean(), rtol=0.1)
+    np.testing.assert_allclose(coarse_veins().cover.mean(), drawn.cover.mean(), rtol=0.1)
 
 
 def test_periodic_in_azimuth(drawn):
