@@ -29,11 +29,12 @@ def total(environment):
 
 
 def power_of(lights):
-    return np.asarray(lights.irradiance[:, None] * lights.tint, np.float64)
+    power = np.asarray(lights.irradiance)[:, None] * np.asarray(lights.tint)
+    return np.asarray(power, np.float64)
 
 
 def on_a_facing_surface(lights):
-    return (power_of(lights) * np.maximum(-lights.towards[:, 2:], 0)).sum(0)
+    return (power_of(lights) * np.maximum(-np.asarray(lights.towards)[:, 2:], 0)).sum(0)
 
 
 def spot(towards, rows=32, columns=64):
@@ -45,15 +46,14 @@ def spot(towards, rows=32, columns=64):
     return Environment(radiance), (i, j)
 
 
-@pytest.mark.parametrize("n", [1, 7, 300])
-@pytest.mark.parametrize("shape", [(15, 33), (1, 5)])
-def test_power_is_conserved(n, shape):
+@pytest.mark.parametrize(("shape", "n"), [((15, 33), 1), ((15, 33), 300), ((1, 5), 7)])
+def test_power_is_conserved(shape, n):
     environment = noisy(*shape)
     lights = environment.to_lights(n, largest_polar=None)
     assert len(lights) == min(n, np.prod(shape))
     np.testing.assert_allclose(power_of(lights).sum(0), total(environment), rtol=1e-12)
-    np.testing.assert_allclose(lights.tint @ np.asarray(LUMINANCE), 1, rtol=1e-12)
-    np.testing.assert_allclose(jnp.linalg.norm(lights.towards, axis=-1), 1, rtol=1e-12)
+    np.testing.assert_allclose(np.asarray(lights.tint) @ LUMINANCE, 1, rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(lights.towards, axis=-1), 1, rtol=1e-12)
     assert lights.illuminant == "D65" and lights.distance is None
 
 
@@ -72,10 +72,11 @@ def test_one_bright_texel_gives_one_light_there(towards):
     environment, (i, _) = spot(towards)
     lights = environment.to_lights(16)
     assert len(lights) == 1
-    assert float(jnp.arccos(lights.towards[0] @ towards)) < 0.75 * np.pi / 32 * np.sqrt(2)
+    assert np.arccos(np.asarray(lights.towards)[0] @ towards) < 0.75 * np.pi / 32 * np.sqrt(2)
     np.testing.assert_allclose(lookup(environment, lights.towards)[0], [100, 80, 60], rtol=1e-10)
     solid = (np.cos(i * np.pi / 32) - np.cos((i + 1) * np.pi / 32)) * 2 * np.pi / 64
-    np.testing.assert_allclose(2 * np.pi * (1 - np.cos(lights.radius[0])), solid, rtol=1e-9)
+    found = 2 * np.pi * (1 - np.cos(np.asarray(lights.radius)[0]))
+    np.testing.assert_allclose(found, solid, rtol=1e-9)
 
 
 def test_sides():
@@ -84,10 +85,10 @@ def test_sides():
     """
     radiance = np.full((4, 8, 3), 0.0)
     radiance[1, 5] = 1.0  # up, and right of the middle
-    x, y, z = Environment(radiance).to_lights(1).towards[0]
+    x, y, z = np.asarray(Environment(radiance).to_lights(1).towards)[0]
     assert x < 0 and y > 0 and z < 0
-    turned = Environment(np.roll(radiance, -2, axis=1)).to_lights(1).towards[0]
-    np.testing.assert_allclose(turned, [-z, y, x], atol=1e-12)
+    turned = Environment(np.roll(radiance, -2, axis=1)).to_lights(1).towards
+    np.testing.assert_allclose(turned[0], [-z, y, x], atol=1e-12)
 
 
 def test_even_hemisphere_lights_a_facing_surface_with_pi():
@@ -100,14 +101,13 @@ def test_even_hemisphere_lights_a_facing_surface_with_pi():
         lights = environment.to_lights(n)
         assert len(lights) == n
         errors.append(abs(on_a_facing_surface(lights)[0] / (2 * np.pi) - 1))
-    assert errors[0] < 0.08 and errors[3] < 2e-3
+    assert errors[0] < 0.08 and errors[1] < 0.02 and errors[3] < 2e-3
     assert all(b < 0.5 * a for a, b in itertools.pairwise(errors))
-    np.testing.assert_allclose(errors[1], 0.0, atol=0.02)
 
 
 def test_radius_is_that_of_the_region():
     lights = Environment(np.ones((32, 64, 3))).to_lights(100, largest_polar=None)
-    solid = 2 * np.pi * (1 - np.cos(lights.radius))
+    solid = 2 * np.pi * (1 - np.cos(np.asarray(lights.radius)))
     np.testing.assert_allclose(solid, lights.irradiance, rtol=1e-9)  # L = 1
     np.testing.assert_allclose(solid.sum(), 4 * np.pi, rtol=1e-12)
 
@@ -134,12 +134,12 @@ def test_lookup_between_texels():
         at(*np.meshgrid(polar, azimuth, indexing="ij")), environment.radiance, rtol=1e-9
     )
     middle = at((polar[2] + polar[3]) / 2, (azimuth[4] + azimuth[5]) / 2)
-    np.testing.assert_allclose(middle, environment.radiance[2:4, 4:6].mean((0, 1)), rtol=1e-9)
+    texels = np.asarray(environment.radiance)[2:4, 4:6]
+    np.testing.assert_allclose(middle, texels.mean((0, 1)), rtol=1e-9)
 
 
-@pytest.mark.parametrize("columns", [8, 7])
-def test_lookup_has_no_seam(columns):
-    environment = noisy(6, columns)
+def test_lookup_has_no_seam():
+    environment = noisy(6, 7)
     tiny, y = 1e-9, np.linspace(-3, 3, 31)
     behind = np.stack([0 * y, y, 1 + 0 * y], axis=-1)
     aside = np.array([tiny, 0, 0])
@@ -151,7 +151,7 @@ def test_lookup_has_no_seam(columns):
         round_it = np.stack([tiny * np.cos(turn), side + 0 * turn, tiny * np.sin(turn)], axis=-1)
         there, at_pole = (lookup(environment, d) for d in (round_it, pole))
         np.testing.assert_allclose(there, np.broadcast_to(at_pole, (17, 3)), rtol=1e-6)
-        row = environment.radiance[0 if side > 0 else -1]
+        row = np.asarray(environment.radiance)[0 if side > 0 else -1]
         np.testing.assert_allclose(at_pole, row.mean(0), rtol=1e-12)
 
 
@@ -167,8 +167,7 @@ def test_gradients_are_finite_and_true():
         return (Environment(radiance).lookup(d) ** 2).sum()
 
     gradient = brightness((environment.radiance, np.concatenate([special, ordinary])))[1]
-    for leaf in jax.tree.leaves(gradient):
-        assert jnp.isfinite(leaf).all()
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(gradient))
     step = 1e-6 * np.random.default_rng(0).normal(size=ordinary.shape)
     ends = (np.concatenate([special, ordinary + sign * step]) for sign in (-1, 1))
     low, high = (brightness((environment.radiance, d))[0] for d in ends)
@@ -179,14 +178,16 @@ def test_gradients_are_finite_and_true():
 def test_studio_and_sky():
     studio = Environment.studio(32)
     lights = studio.to_lights(32)
-    key = lights.towards[jnp.argmax(lights.irradiance / lights.radius**2)]
+    radiance = np.asarray(lights.irradiance) / np.asarray(lights.radius) ** 2
+    key = np.asarray(lights.towards)[np.argmax(radiance)]
     np.testing.assert_allclose(on_a_facing_surface(lights), np.pi, rtol=0.05)
     assert key[0] < 0 and key[1] > 0 and key[2] < 0
     for polar, azimuth in [(0.9, 2.0), (1.5, 0.3)]:
         bare, sunny = (Environment.sky(polar, azimuth, rows=48, **s) for s in ({"sun": 0.0}, {}))
         rise = total(sunny) - total(bare)
         np.testing.assert_allclose(rise @ np.asarray(LUMINANCE), 4.0, rtol=1e-9)
-        towards = Environment(sunny.radiance - bare.radiance).to_lights(1).towards[0]
+        sun = np.asarray(sunny.radiance) - np.asarray(bare.radiance)
+        towards = np.asarray(Environment(sun).to_lights(1).towards)[0]
         sin = np.sin(polar)
         expected = sin * np.cos(azimuth), sin * np.sin(azimuth), -np.cos(polar)
         np.testing.assert_allclose(towards, expected, atol=0.01)
