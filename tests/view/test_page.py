@@ -133,10 +133,20 @@ def address(tmp_path):
         yield found
 
 
-@pytest.mark.peer
-def test_a_slow_browser_is_put_where_the_scene_looks_from(bare):
-    """viser's own camera, reported after ours, is no orbit of the user's."""
+@pytest.fixture
+def served(bare):
+    """The page of a viewer that no browser has opened."""
     viser = pytest.importorskip("viser")
+    with contextlib.redirect_stdout(io.StringIO()):
+        server_of_page = viser.ViserServer(port=0, verbose=False)
+    yield server._Page(server_of_page, Studio(bare))
+    with contextlib.redirect_stdout(io.StringIO()):
+        server_of_page.stop()
+
+
+@pytest.mark.peer
+def test_a_slow_browser_is_put_where_the_scene_looks_from(served):
+    """viser's own camera, reported after ours, is no orbit of the user's."""
 
     class Reported:
         aspect, position, look_at = 1.5, np.full(3, 3.0), np.zeros(3)
@@ -145,60 +155,39 @@ def test_a_slow_browser_is_put_where_the_scene_looks_from(bare):
             self.follow = follow
             return follow
 
-    client = SimpleNamespace(
-        camera=Reported(), scene=SimpleNamespace(set_background_image=lambda *_, **__: None)
-    )
-    with contextlib.redirect_stdout(io.StringIO()):
-        served = viser.ViserServer(port=0, verbose=False)
-    try:
-        page = server._Page(served, Studio(bare))
-        page._connected(client)
-        place = client.camera.position.copy()
-        for reported, kept in (
-            (place, place),
-            (np.full(3, 3.0), place),
-            (place + np.array([0.5, 0.0, 0.0]), None),
-        ):
-            client.camera.position = reported
-            client.camera.follow(client.camera)
-            if kept is not None:
-                np.testing.assert_allclose(client.camera.position, kept)
-        # Only the last was the user's.
-        assert page.worker._waiting["camera_polar"] == pytest.approx(
-            np.degrees(np.arctan2(0.5, place[2])), abs=0.01
-        )
-        assert page.worker._waiting["camera_azimuth"] == 0.0
-    finally:
-        with contextlib.redirect_stdout(io.StringIO()):
-            served.stop()
+    camera = Reported()
+    scene = SimpleNamespace(set_background_image=lambda *_, **__: None)
+    served._connected(SimpleNamespace(camera=camera, scene=scene))
+    place = camera.position.copy()
+    for reported in (place, np.full(3, 3.0)):
+        camera.position = reported
+        camera.follow(camera)
+        np.testing.assert_allclose(camera.position, place)
+    camera.position = place + np.array([0.5, 0.0, 0.0])  # the user's
+    camera.follow(camera)
+    polar = np.degrees(np.arctan2(0.5, place[2]))
+    assert served.worker._waiting["camera_polar"] == pytest.approx(polar, abs=0.01)
+    assert served.worker._waiting["camera_azimuth"] == 0.0
 
 
 @pytest.mark.peer
-def test_changes_are_undone(bare):
-    viser = pytest.importorskip("viser")
-    with contextlib.redirect_stdout(io.StringIO()):
-        served = viser.ViserServer(port=0, verbose=False)
-    try:
-        page = server._Page(served, Studio(bare))
+def test_changes_are_undone(served):
+    def work():
+        changes, served.worker._waiting = served.worker._waiting, None
+        served._show(changes)
 
-        def work():
-            changes, page.worker._waiting = page.worker._waiting, None
-            page._show(changes)
-
-        for changes in ({}, {"eumelanin": 0.1}, {"eumelanin": 1.0, "width": 9.0}):
-            page.worker.put(**changes)
-            work()
-        page._undo()
+    for changes in ({}, {"eumelanin": 0.1}, {"eumelanin": 1.0, "width": 9.0}):
+        served.worker.put(**changes)
         work()
-        assert (page.studio.settings.eumelanin, page.studio.settings.width) == (0.1, 15.0)
-        assert page.widgets["eumelanin"].value == pytest.approx(-1.0)
-        page._undo()
-        page._undo()  # there is nothing before the first
-        work()
-        assert page.studio.settings.eumelanin == 1.0
-    finally:
-        with contextlib.redirect_stdout(io.StringIO()):
-            served.stop()
+    served._undo()
+    work()
+    settings = served.studio.settings
+    assert (settings.eumelanin, settings.width) == (0.1, 15.0)
+    assert served.widgets["eumelanin"].value == pytest.approx(-1.0)
+    served._undo()
+    served._undo()  # there is nothing before the first
+    work()
+    assert served.studio.settings.eumelanin == 1.0
 
 
 @pytest.mark.peer
