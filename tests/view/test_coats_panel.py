@@ -37,25 +37,18 @@ class Gui:
     def __init__(self):
         self.made, self.folder = {}, ""
 
-    def _made(self, label, value=None, order=None):
+    def _made(self, label, value=None, order=None, **_):
         self.made[self.folder, label] = widget = Widget(value, order)
         return widget
+
+    add_button = add_checkbox = add_rgb = _made
 
     def add_folder(self, label, expand_by_default=True):
         self.folder = label
         return self._made("")
 
     def add_html(self, content, order=None):
-        return self._made("html")
-
-    def add_button(self, label, hint=None, order=None):
-        return self._made(label)
-
-    def add_checkbox(self, label, value):
-        return self._made(label, value)
-
-    def add_rgb(self, label, value):
-        return self._made(label, value)
+        return self._made("html", order=order)
 
     def add_slider(self, label, low, high, step, value):
         return self._made(label, value)
@@ -74,24 +67,20 @@ def page(tmp_path):
 
 
 def test_every_control_asks_for_its_change_on_top_of_the_last(page):
+    """A picked colour goes back to the mixture."""
     limbus, base = "02 limbus", "01 base"
-    assert page.gui[base, "colour"].value == (0x3C, 0x28, 0x23)
+    mixed = (0x3C, 0x28, 0x23)
+    assert page.gui[base, "colour"].value == mixed
     assert page.gui[limbus, "opacity"].value == 0.6
     page.gui[base, "on"].becomes(False)
-    page.gui[limbus, "colour"].becomes((1, 160, 255))
+    for name in (base, limbus):
+        page.gui[name, "colour"].becomes((1, 160, 255))
     page.gui[limbus, "opacity"].becomes(0.25)
-    assert page.asked["layers"] == (
-        (base, False, None, 1.0, 0.0),
-        (limbus, True, "#01a0ff", 0.25, 0.2),
-    )
-
-
-def test_a_picked_colour_goes_back_to_the_mixture(page):
-    base = "01 base"
-    page.gui[base, "colour"].becomes((1, 160, 255))
+    lower, upper = (base, False, "#01a0ff", 1.0, 0.0), (limbus, True, "#01a0ff", 0.25, 0.2)
+    assert page.asked["layers"] == (lower, upper)
     page.gui[base, "back to the mixture"].becomes(True)
-    assert page.asked["layers"][0] == (base, True, None, 1.0, 0.0)
-    assert page.gui[base, "colour"].value == (0x3C, 0x28, 0x23)
+    assert page.asked["layers"] == ((base, False, None, 1.0, 0.0), upper)
+    assert page.gui[base, "colour"].value == mixed
 
 
 def test_the_uppermost_coat_stands_first_wherever_it_came_from(page):
@@ -103,10 +92,8 @@ def test_the_uppermost_coat_stands_first_wherever_it_came_from(page):
     assert shown() == ["02 limbus", "01 base"]
     page.gui["01 base", "place"].becomes("up")
     assert shown() == ["01 base", "02 limbus"]
-    assert [(x.name, x.height) for x in page.asked["layers"]] == [
-        ("02 limbus", 0.0),
-        ("01 base", 0.2),
-    ]
+    heights = [(x.name, x.height) for x in page.asked["layers"]]
+    assert heights == [("02 limbus", 0.0), ("01 base", 0.2)]
     page.gui["01 base", "place"].becomes("up")
     assert shown() == ["01 base", "02 limbus"]
 

@@ -96,14 +96,14 @@ def test_a_preset_brings_its_pigments(bare, monkeypatch):
 def test_wrong_settings_change_nothing(bare):
     found = Studio(bare)
     before = found.settings
-    for wrong in (
-        {"melanin": 1.0},
-        {"preset": "violet"},
-        {"environment": "cave"},
-        {"pupil_radius": 10.0},
-        {"eumelanin": -1.0},
+    for wrong, said in (
+        ({"melanin": 1.0}, "no such"),
+        ({"preset": "violet"}, "unknown"),
+        ({"environment": "cave"}, "unknown"),
+        ({"pupil_radius": 10.0}, "outside"),
+        ({"eumelanin": -1.0}, "outside"),
     ):
-        with pytest.raises(ValueError, match=r"no such|unknown|outside|must be"):
+        with pytest.raises(ValueError, match=said):
             found.update(**wrong)
         assert found.settings == before
 
@@ -112,12 +112,8 @@ def test_starts_as_the_scene_is():
     text = '[iris]\neumelanin = 0.4\n[maps]\nuniform = true\n[eye]\ncornea = "none"\npupil_radius = 1.4\n'
     text += "[camera]\npolar_deg = 20\nazimuth_deg = 30\n[[light]]\npolar_deg = 40\nazimuth_deg = 100\nirradiance = 2\n"
     found = Studio(parse_scene(text).scene()).settings
-    assert (found.pupil_radius, found.camera_polar, found.camera_azimuth, found.environment) == (
-        1.4,
-        20,
-        30,
-        "none",
-    )
+    assert (found.pupil_radius, found.environment) == (1.4, "none")
+    assert (found.camera_polar, found.camera_azimuth) == (20, 30)
     assert (found.light_polar, found.light_azimuth) == pytest.approx((40, 100), abs=1e-3)
     assert (found.irradiance, found.eumelanin) == pytest.approx((2, 0.4))
 
