@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from common import slowly
 from irisjax.anatomy.eye import Eye
 from irisjax.export.mesh import eye_meshes, mesh_files
 from irisjax.optics.conicoid import norm
@@ -106,9 +107,7 @@ def _seen(cornea, size, first, last, samples):
 
 
 # A corner from the limbus to the pupil, and everything.
-@pytest.mark.parametrize(
-    ("first", "last"), [(120, 320), pytest.param(0, 800, marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize(("first", "last"), [(120, 320), slowly(0, 800)])
 def test_image_of_the_iris(cornea, first, last):
     """Half a pixel of 800 across 12 mm, everywhere on the visible iris, off the axis by 7.5°."""
     theirs, ours, visible, use = _seen(cornea, 800, first, last, 4)
@@ -161,7 +160,10 @@ def _smooth(eye, degrees, size):
     return irradiance, (entry < 5.4) & (np.hypot(*np.meshgrid(line, line)) < 5.3)
 
 
-def _irradiance_agrees(cornea, degrees, rays, patch, allowed):
+@pytest.mark.parametrize(
+    ("degrees", "rays", "patch"), [(40, 400_000, 16), slowly(70, 4_000_000, 8)]
+)
+def test_irradiance_in_patches(cornea, degrees, rays, patch):
     size = 64
     theirs = _lit(cornea, degrees, size, rays)
     ours, inside = _smooth(EYE, degrees, size)
@@ -174,16 +176,7 @@ def _irradiance_agrees(cornea, degrees, rays, patch, allowed):
     print(
         f"{degrees}°: {use.sum()} patches off by {off.mean():+.4f} ± {off.std():.4f}, most {np.abs(off).max():.4f}"
     )
-    assert use.sum() >= 4 and np.abs(off).max() < allowed
-
-
-def test_irradiance_in_large_patches(cornea):
-    _irradiance_agrees(cornea, 40, 400_000, 16, 0.02)
-
-
-@pytest.mark.slow
-def test_irradiance_in_small_patches(cornea):
-    _irradiance_agrees(cornea, 70, 4_000_000, 8, 0.02)
+    assert use.sum() >= 4 and np.abs(off).max() < 0.02
 
 
 def test_caustic(cornea):

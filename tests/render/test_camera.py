@@ -75,15 +75,15 @@ def test_a_far_camera_is_an_orthographic_one(seen):
 meet = jax.jit(lambda *ray: Conicoid(7.8, 0.75).intersect(*ray))
 
 
-@pytest.mark.parametrize("polar", [0.0, 0.7, 1.5])
+@pytest.mark.parametrize("polar", [0.0, 1.5])
 def test_rays_from_far_meet_a_conicoid(polar, bits):
     """The surface itself does not lose a ray that begins 10 m away."""
-    x = jnp.linspace(-4.0, 4.0, 41)
-    back = jnp.asarray([np.sin(polar), 0.0, -np.cos(polar)], x.dtype)
-    side = jnp.asarray([np.cos(polar), 0.0, np.sin(polar)], x.dtype)
-    start = x[:, None] * side + jnp.asarray([0.0, 0.0, 2.0], x.dtype)
+    back, side = [np.sin(polar), 0.0, -np.cos(polar)], [np.cos(polar), 0.0, np.sin(polar)]
+    start = np.linspace(-4.0, 4.0, 41)[:, None] * side + [0.0, 0.0, 2.0]
+    towards = jnp.asarray(np.broadcast_to(np.negative(back), start.shape), float)
     (near, met), (far, also) = (
-        meet(start + d * back, jnp.broadcast_to(-back, start.shape)) for d in (30.0, 1e4)
+        map(np.asarray, meet(jnp.asarray(start + np.multiply(d, back), float), towards))
+        for d in (30.0, 1e4)
     )
     np.testing.assert_array_equal(also, met)
     # The start itself is known to half a micrometre in single precision.

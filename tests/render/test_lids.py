@@ -1,6 +1,7 @@
 """Lids: their surface, their skin, what they hide, and the light that they keep from the eye."""
 
 import dataclasses
+import functools
 
 import jax
 import jax.numpy as jnp
@@ -58,9 +59,9 @@ def test_skin_is_what_exact_theory_of_a_deep_layer_says():
 
 
 def test_melanin_and_blood_darken_skin_where_they_absorb():
-    grid = np.array([450.0, 550.0, 650.0])
+    skin = quick_jit(functools.partial(skin_reflectance, np.array([450.0, 550.0, 650.0])))
     usual, brown, flushed = (
-        np.asarray(skin_reflectance(grid, jnp.asarray(m), jnp.asarray(b)))
+        np.asarray(skin(jnp.asarray(m), jnp.asarray(b)))
         for m, b in ((0.01, 0.01), (0.2, 0.01), (0.01, 0.05))
     )
     assert (np.diff(usual) > 0).all() and 0.4 < usual[2] < 0.8

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import quick_jit, stack
+from common import counting, quick_jit, stack
 from irisjax.anatomy.eye import Eye
 from irisjax.render import picture
 from irisjax.render.camera import Camera
@@ -56,14 +56,14 @@ def tall():
 
 
 def test_no_seams_and_one_program_for_all_bands(tall, monkeypatch):
-    """The last band is smaller: its rows are drawn twice."""
-    traced, rays = [], Camera.rays
-    monkeypatch.setattr(Camera, "rays", lambda *args: traced.append(1) or rays(*args))
+    """The last band is smaller: its rows are drawn twice. A band is drawn when it is asked for."""
+    counts = counting(monkeypatch, rays=Camera, illuminate=picture)
     iterator = draw_bands(tall[0], memory=memory(6, 8))
     found = [next(iterator) for _ in range(3)]  # the first sees no iris
-    before = len(traced)
+    assert counts["illuminate"] == 3
+    before = counts["rays"]
     found += iterator
-    assert len(traced) == before > 0
+    assert counts["rays"] == before > 0
     assert [len(band.pixels) for band in found] == [6] * 5 + [2] and 0 <= found[0].error < 0.1
     pixels = np.concatenate([band.pixels for band in found])
     assert not pixels[:6].any() and pixels[14:18].any()
@@ -105,13 +105,6 @@ def test_spectral_and_single_scattering():
     found, _, error = joined(marched, memory=memory(4, 14))
     assert error is None
     np.testing.assert_allclose(found, draw(marched), atol=1e-12, rtol=0)
-
-
-def test_a_band_is_drawn_only_when_asked_for(tall, monkeypatch):
-    made, illuminate = [], picture.illuminate
-    monkeypatch.setattr(picture, "illuminate", lambda *a: made.append(1) or illuminate(*a))
-    iterator = draw_bands(tall[0], memory=memory(6, 8))
-    assert next(iterator).pixels.shape == (6, 8, 3) and len(made) == 1
 
 
 @pytest.mark.parametrize(("first", "rows"), [(-1, 3), (14, 3), (0, 0)])

@@ -16,8 +16,12 @@ LIGHT = ij.Iris.of_level("low")
 EXITS = np.array([0.02, 0.3, 0.7, 1.0])
 
 
-def tabulated(integrator, iris, bands, ranges):
-    return solve_response(integrator, iris, ij.Eye().aqueous_index, bands, ranges)
+def tabulated(integrator=None, iris=LIGHT, ranges=None, x=X):
+    """Channels of their own, by default of the solver that is the truth below."""
+    integrator = Separable(solver=ij.IlitExact(12)) if integrator is None else integrator
+    ranges = Scales() if ranges is None else ranges
+    index, bands = ij.Eye().aqueous_index, spectral_bands(x, "E")
+    return solve_response(integrator, iris, index, bands, ranges)
 
 
 def brdf(iris, wavelengths, exits):
@@ -33,8 +37,8 @@ def shown(response, *scales):
 
 @pytest.mark.parametrize("level", ["low", "high"])
 def test_uniform_iris(level):
-    iris, solver = ij.Iris.of_level(level), ij.IlitExact(12)
-    response = tabulated(Separable(solver=solver), iris, spectral_bands(X, "E"), Scales())
+    iris = ij.Iris.of_level(level)
+    response = tabulated(iris=iris)
     found, true = shown(response), brdf(iris, X, EXITS)
     assert float(response.error) < 1e-3
     # The error is measured at a few exits; these are others.
@@ -45,7 +49,7 @@ def test_uniform_iris(level):
 def test_texels_with_scaled_layers_are_irides_of_their_own():
     """An ABL three times as thick, with three times the pigment, and so on."""
     ranges = Scales(abl=jnp.array([0.2, 6.0]), stroma=jnp.array([0.3, 2.0]))
-    response = tabulated(Separable(solver=ij.IlitExact(12)), LIGHT, spectral_bands(X, "E"), ranges)
+    response = tabulated(ranges=ranges)
     assert float(response.error) < 2e-3
     for abl, stroma in ((3.0, 1.0), (0.25, 1.9), (5.5, 0.4), (1.0, 1.0)):
         found = shown(response, abl, stroma)
@@ -69,7 +73,7 @@ def test_texels_with_scaled_layers_are_irides_of_their_own():
 @pytest.mark.peer
 def test_pigment_maps_are_irides_of_their_own():
     ranges = Scales(eumelanin=jnp.array([0.0, 3.0]), pheomelanin=jnp.array([0.5, 4.0]))
-    response = tabulated(Separable(solver=ij.IlitExact(12)), LIGHT, spectral_bands(X, "E"), ranges)
+    response = tabulated(ranges=ranges)
     for eu, pheo in ((0.0, 1.0), (2.9, 0.6), (1.0, 3.9)):
         found = shown(response, None, None, eu, pheo)
         iris = LIGHT.replace(
@@ -85,7 +89,7 @@ def test_error_tells_a_table_too_coarse():
 
     def error(degree):
         integrator = Separable(degrees=(degree, 5, 4, 4, 3), solver=ij.IlitExact(8))
-        return float(tabulated(integrator, LIGHT, spectral_bands(X[:1], "E"), wide).error)
+        return float(tabulated(integrator, ranges=wide, x=X[:1]).error)
 
     assert error(2) > 0.02 > 2e-3 > error(12)
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from common import operations
+from common import counting, operations
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.sclera import VeinMap
 from irisjax.numerics.chunks import map_chunks, pixelwise
@@ -35,86 +35,69 @@ def test_tables_are_made_for_what_is_asked(monkeypatch):
     assert built == [False, True]
 
 
+def each_costs_more(*programs):
+    """Each program has more operations than the one before."""
+    counts = [operations(program) for program in programs]
+    assert counts == sorted(set(counts)), counts
+
+
 @pytest.mark.peer
 def test_absent_parts_cost_nothing(tables):
-    eye, iris = CLOSE, LIGHT
-    pixels = project_visible(eye, SMALL).iris
-    one = np.ones((8, 6))
-    maps = {
-        "none": None,
-        "stroma": IrisMaps(stroma_depth=one),
-        "freckles": IrisMaps(stroma_depth=one, freckles=0 * one),
-        "relief": IrisMaps(stroma_depth=one, freckles=0 * one, relief=0 * one),
-        "pigment": IrisMaps(stroma_depth=one, freckles=0 * one, relief=0 * one, eumelanin=one),
-    }
-    lamp, tinted = (
-        Lights.distant(0.5, 1.0),
-        Lights(jnp.array([[0, 0, -1.0]]), jnp.ones(1), jnp.ones((1, 3))),
-    )
-    counts = [
-        operations(
-            lambda m=m: (
-                QUICK.texels(pixels, shading.IrisModel(eye, iris, m), Scales.of(m, iris).ranges()),
-                front := shading.IrisModel(eye, iris, m),
-                facing := front.facing(pixels),
-                QUICK.illuminate(pixels, lamp, front, tables, facing),
-            )
-        )
-        for m in maps.values()
-    ]
-    assert counts == sorted(set(counts)), dict(zip(maps, counts, strict=True))
+    pixels, one = project_visible(CLOSE, SMALL).iris, np.ones((8, 6))
+    lamp = Lights.distant(0.5, 1.0)
+    tinted = dataclasses.replace(lamp, tint=jnp.ones((1, 3)))
+
+    def lit(**maps):
+        maps = IrisMaps(**maps) if maps else None
+        model = shading.IrisModel(CLOSE, LIGHT, maps)
+        texels = QUICK.texels(pixels, model, Scales.of(maps, LIGHT).ranges())
+        return texels, QUICK.illuminate(pixels, lamp, model, tables, model.facing(pixels))
+
+    maps = {"stroma_depth": one, "freckles": 0 * one, "relief": 0 * one, "eumelanin": one}
+    given = [dict(list(maps.items())[:count]) for count in range(len(maps) + 1)]
+    each_costs_more(*(lambda m=m: lit(**m) for m in given))
+
+    def brdf(ranges, scales):
+        respond_to = eqx.filter_jit(QUICK.response)
+        response = respond_to(LIGHT, CLOSE.aqueous_index, colour_bands(), ranges)
+        return response.brdf(scales, jnp.ones(2), jnp.ones(2), jnp.ones(2))
+
     # The polynomials of a scale that does not vary are not there.
-    responses = [
-        operations(
-            lambda r=r, s=s: eqx.filter_jit(QUICK.response)(
-                iris, eye.aqueous_index, colour_bands(), r
-            ).brdf(s, jnp.ones(2), jnp.ones(2), jnp.ones(2))
-        )
-        for r, s in (
-            (Scales(), Scales()),
-            (Scales(abl=jnp.array([0.5, 2.0])), Scales(abl=jnp.ones(2))),
-        )
-    ]
-    assert responses[0] < responses[1]
+    each_costs_more(
+        lambda: brdf(Scales(), Scales()),
+        lambda: brdf(Scales(abl=jnp.array([0.5, 2.0])), Scales(abl=jnp.ones(2))),
+    )
 
-    def light(lights, eye, tables):
-        return operations(lambda: shading.entering_flux(lights, eye, iris, tables))
+    def entering(lights, eye, tables):
+        return shading.entering_flux(lights, eye, LIGHT, tables)
 
-    assert light(lamp, BARE, None) < light(lamp, eye, tables)
-    assert shading.entering_flux(lamp, eye, iris, tables).shape[0] == 1
-    assert shading.entering_flux(tinted, eye, iris, tables).shape[0] == 3
-    sight = [
-        operations(lambda e=e: trace_iris(jnp.arange(9), e, SMALL))
-        for e in (BARE, CLOSE, Eye(cornea=CLEAR))
-    ]
-    assert sight == sorted(set(sight))
+    each_costs_more(lambda: entering(lamp, BARE, None), lambda: entering(lamp, CLOSE, tables))
+    assert [len(entering(lights, CLOSE, tables)) for lights in (lamp, tinted)] == [1, 3]
+    eyes = BARE, CLOSE, Eye(cornea=CLEAR)
+    each_costs_more(*(lambda e=e: trace_iris(jnp.arange(9), e, SMALL) for e in eyes))
     view = project_visible(Eye(), SMALL)
     room = outside.mirrored_environment(view.mirror, Environment(jnp.ones((4, 8, 3))))
-    mirrors = [
-        operations(lambda r=r: outside.tear_film_radiance((view.mirror, r), lamp, jnp.ones(3)))
-        for r in (None, room)
-    ]
     table = colour_table(Eye().sclera, np.array([450.0, 600.0]), np.ones((3, 2)))
     drawn = VeinMap(*(jnp.zeros((4, 4)) for _ in range(3)))
-    whites = [
-        operations(lambda v=v: outside.sclera_base_colour(view.sclera, Eye(), table, v))
-        for v in (None, drawn)
-    ]
-    assert mirrors[0] < mirrors[1] and whites[0] < whites[1]
-    assert (
-        project_visible(BARE, SMALL).mirror is None and project_visible(CLOSE, SMALL).sclera is None
+    each_costs_more(
+        lambda: outside.tear_film_radiance((view.mirror, None), lamp, jnp.ones(3)),
+        lambda: outside.tear_film_radiance((view.mirror, room), lamp, jnp.ones(3)),
     )
+    each_costs_more(
+        lambda: outside.sclera_base_colour(view.sclera, Eye(), table, None),
+        lambda: outside.sclera_base_colour(view.sclera, Eye(), table, drawn),
+    )
+    assert project_visible(BARE, SMALL).mirror is project_visible(CLOSE, SMALL).sclera is None
 
 
 def test_pictures_drawn_once_share_programs(monkeypatch):
     """Pictures of any size and from anywhere do, and their pixels see what they see otherwise."""
-    traced, rays = [], Camera.rays
-    monkeypatch.setattr(Camera, "rays", lambda *given: traced.append(1) or rays(*given))
+    traced = counting(monkeypatch, rays=Camera)
     cameras = Camera(width=12.0, size=(60, 50)), Camera(0.3, 1.0, width=11.0, size=(70, 40))
     second = [project_visible(CLOSE, camera, once=True) for camera in cameras][1]
-    count = len(traced)
+    count = traced["rays"]
     project_visible(CLOSE, Camera(0.1, size=(41, 63)), once=True)
-    assert len(traced) == count
+    assert traced["rays"] == count > 0
     expected = project_visible(CLOSE, cameras[1])
     for name in ("iris", "mirror"):
         found, same = (getattr(view, name) for view in (second, expected))

@@ -86,13 +86,3 @@ def test_without_a_photograph_there_is_no_such_setting(bare):
     with pytest.raises(ValueError, match="no photograph"):
         found.update(photograph=0.5)
     assert found.settings.photograph is None
-
-
-@pytest.mark.peer
-def test_the_right_half_is_the_scene_as_it_is_drawn_alone(bare):
-    alone = Studio(bare).update(pupil_radius=2.5)
-    found = Studio(bare, photograph=flat(10, 12, 16))
-    found.update()
-    half = found.update(pupil_radius=2.5)
-    assert (half[:, :7] == 10).all()
-    np.testing.assert_array_equal(half[:, 9:], alone[:, 9:])
