@@ -20,7 +20,7 @@ from irisjax.render.environment import Environment
 from irisjax.render.illumination import trace_flux
 from irisjax.render.lights import Lights
 from irisjax.render.outside import bulk_reflectance
-from irisjax.render.project import ScleraPixels, project_visible, trace_sclera
+from irisjax.render.project import ScleraPixels, project, trace_sclera
 from irisjax.render.refraction import UNIQUE_POLAR, RefractionFunction, limbus_window
 from irisjax.render.scene import Scene
 from irisjax.tissue.maps import IrisMaps
@@ -117,9 +117,7 @@ def test_near_lamp_on_the_white():
 
 @pytest.mark.peer
 def test_near_lamp_is_mirrored_where_it_stands(tables):
-    """Where a line of sight, mirrored by hand on the cornea's conicoid,
-    points at the lamp itself.
-    """
+    """Where a line of sight, mirrored by hand on the cornea's conicoid, points at the lamp."""
     lamp, camera = np.array([15.0, 10.0, -40.0]), Camera(size=(240, 180), width=11.0)
     origin, d = (np.asarray(v) for v in rays_of(camera, WHITE))
     radius, p = float(CLEAR.anterior.radius), float(CLEAR.anterior.shape)
@@ -155,20 +153,11 @@ def test_white_in_an_even_room(tables):
     room = Environment(jnp.ones((32, 64, 3)))
     made = Scene(IRIS, eye=WHITE, lights=None, environment=room, environment_lights=200)
     made = made.replace(camera=Camera(polar=1.4, size=(24, 18), width=20.0))
-    view = project_visible(made.eye, made.camera)
-    picture = around(made, view)
-    index = np.asarray(view.sclera.index)
-    share, reflectance = (
-        np.asarray(v)[index >= 0] for v in (view.sclera.share, view.sclera.reflectance)
-    )
-    index = index[index >= 0]
-    whole = share == 1
-    room_in_it = np.asarray(view.mirror.reflectance)
-    back = np.full(24 * 18, -1)
-    seen = np.arange(24 * 18) if view.mirror.index is None else np.asarray(view.mirror.index)
-    back[seen[seen >= 0]] = np.flatnonzero(seen >= 0)
-    matt = picture[1][index[whole]] - room_in_it[back[index[whole]]]
-    green = matt / (1 - reflectance[whole])
+    view = project(made.eye, made.camera)
+    whole = np.asarray(view.sclera.share) == 1
+    # The tear film mirrors the room's radiance of 1.
+    matt = (around(made, view)[1] - np.asarray(view.mirror.reflectance))[whole]
+    green = matt / (1 - np.asarray(view.sclera.reflectance)[whole])
     # Reflectance times the room's radiance of 1; with 50 lights for the room 2 %, with 200 0.3,
     # with 800 0.1.
     assert np.ptp(green) / green.mean() < 0.01
@@ -184,12 +173,11 @@ def test_vessels_have_their_colours_of_81_wavelengths():
     drawn = VeinMap(*(jnp.full((4, 4), v) for v in (0.035, 0.9, 0.3)))
     made = Scene(IRIS, eye=WHITE, veins=drawn, camera=Camera(polar=1.4, azimuth=0.3, size=(16, 12)))
     made = made.replace(integrator=ij.Separable(solver=ij.IlitExact(4), degrees=(2, 2, 2, 2, 2)))
-    index = np.asarray(project_visible(made.eye, made.camera).sclera.index)
-    index = index[index >= 0]
-    spectral = around(made.replace(wavelengths=tuple(map(float, BAND_GRID))))[:, index]
+    white = np.asarray(project(made.eye, made.camera).sclera.share) > 0
+    spectral = around(made.replace(wavelengths=tuple(map(float, BAND_GRID))))[:, white]
     power = np.asarray(ij.measure.illuminant_power("D65", BAND_GRID))
     weights = np.asarray(tristimulus_matrix(BAND_GRID, "linear sRGB", "D65")[0])
-    np.testing.assert_allclose(around(made)[:, index], weights / power @ spectral, atol=2e-4)
+    np.testing.assert_allclose(around(made)[:, white], weights / power @ spectral, atol=2e-4)
 
 
 @pytest.mark.peer
