@@ -11,7 +11,7 @@ from irisjax.render.picture import surroundings, texture
 from irisjax.render.project import project
 from irisjax.render.scene import Scene
 from irisjax.render.separable import Separable
-from irisjax.tissue.maps import cell_centres
+from irisjax.tissue.maps import IrisMaps, cell_centres
 
 LIGHT = ij.Iris.of_level("low")
 CLEAR = Cornea(scatter=None)
@@ -46,6 +46,15 @@ def ring(height, radii=24, angles=48):
     angle, radius = cell_centres((angles, radii))
     r = 0.25 + 5.25 * radius
     return height(r * jnp.cos(angle)[:, None], r * jnp.sin(angle)[:, None])
+
+
+def maps_of(**changes):
+    """Maps that change nothing but what is asked for: one structure, and one program, for all."""
+    even = {
+        "abl_depth": LIGHT.abl_thickness, "stroma_depth": LIGHT.stroma_thickness,
+        "eumelanin": 1.0, "relief": 0.0,
+    } | changes  # fmt: skip
+    return IrisMaps(**{name: np.broadcast_to(v, (48, 24)) for name, v in even.items()})
 
 
 def around(made, view=None):

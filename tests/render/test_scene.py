@@ -16,8 +16,18 @@ from irisjax.render.lights import Lights
 from irisjax.render.picture import draw, respond
 from irisjax.render.scene import Scene
 from irisjax.render.shading import sky_share
-from irisjax.tissue.maps import IrisMaps
-from render.small_scenes import BARE, CLEAR, CLOSE, LIGHT, QUICK, SMALL, around, ring, scene
+from render.small_scenes import (
+    BARE,
+    CLEAR,
+    CLOSE,
+    LIGHT,
+    QUICK,
+    SMALL,
+    around,
+    maps_of,
+    ring,
+    scene,
+)
 from render.tracing import trace
 
 
@@ -27,15 +37,6 @@ def places(camera):
     """
     (w, h), pitch = camera.size, float(camera.width) / camera.size[0]
     return np.meshgrid((np.arange(w) + 0.5 - w / 2) * pitch, -(np.arange(h) + 0.5 - h / 2) * pitch)
-
-
-def maps_of(**changes):
-    """Maps that change nothing but what is asked for: one structure, and one program, for all."""
-    even = {
-        "abl_depth": LIGHT.abl_thickness, "stroma_depth": LIGHT.stroma_thickness,
-        "eumelanin": 1.0, "relief": 0.0,
-    } | changes  # fmt: skip
-    return IrisMaps(**{name: np.broadcast_to(v, (48, 24)) for name, v in even.items()})
 
 
 def brdf_in_bands(incidence, exits):

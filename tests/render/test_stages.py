@@ -23,7 +23,7 @@ from irisjax.render.picture import draw, illuminate, respond, shade, texture
 from irisjax.render.project import project, project_visible, trace_iris
 from irisjax.render.refraction import UNIQUE_POLAR
 from irisjax.tissue.maps import IrisMaps, Scales
-from render.small_scenes import BARE, CLEAR, CLOSE, LIGHT, QUICK, SMALL, ring, scene
+from render.small_scenes import BARE, CLEAR, CLOSE, LIGHT, QUICK, SMALL, maps_of, ring, scene
 
 
 def test_tables_are_made_for_what_is_asked(monkeypatch):
@@ -93,7 +93,7 @@ def test_absent_parts_cost_nothing(tables):
 def test_pictures_drawn_once_share_programs(monkeypatch):
     """Pictures of any size and from anywhere do, and their pixels see what they see otherwise."""
     traced = counting(monkeypatch, rays=Camera)
-    cameras = Camera(width=12.0, size=(60, 50)), Camera(0.3, 1.0, width=11.0, size=(70, 40))
+    cameras = Camera(width=12.0, size=(60, 50)), Camera(0.3, 1.0, width=11.0, size=SMALL.size)
     second = [project_visible(CLOSE, camera, once=True) for camera in cameras][1]
     count = traced["rays"]
     project_visible(CLOSE, Camera(0.1, size=(41, 63)), once=True)
@@ -112,13 +112,13 @@ def test_pictures_drawn_once_share_programs(monkeypatch):
         ({"iris": LIGHT.replace(eumelanin=1.5)}, {"view", "texels", "light"}),
         ({"lights": Lights.distant(0.4, 2.0)}, {"view", "texels", "response"}),
         ({"camera": dataclasses.replace(SMALL, polar=jnp.asarray(0.2))}, {"response"}),
-        ({"maps": IrisMaps(stroma_depth=np.full((48, 24), 0.25))}, {"view"}),
+        ({"maps": maps_of(stroma_depth=0.25)}, {"view"}),
     ],
     ids=["pigments", "lights", "camera", "maps"],
 )
 def test_values_that_a_change_leaves_alone_are_kept(change, kept):
     """The picture of the old values and the new ones is that of the changed scene."""
-    before = scene(maps=IrisMaps(stroma_depth=ring(lambda x, y: 0.3 + 0.02 * x)))
+    before = scene(maps=maps_of(stroma_depth=ring(lambda x, y: 0.3 + 0.02 * x)))
     made = before.replace(**change)
     seen = before if "view" in kept else made
     view = project(seen.eye, seen.camera)
@@ -180,5 +180,5 @@ def test_new_maps_are_not_compiled_for_again():
     calls = []
     compiled = eqx.filter_jit(lambda made: calls.append(1) or made.maps)
     for thick in (0.2, 0.3):
-        compiled(scene(maps=IrisMaps(stroma_depth=ring(lambda x, y, t=thick: t + 0.01 * x))))
+        compiled(scene(maps=maps_of(stroma_depth=thick)))
     assert len(calls) == 1
