@@ -25,7 +25,7 @@ from irisjax.render.refraction import UNIQUE_POLAR, RefractionFunction, limbus_w
 from irisjax.render.scene import Scene
 from irisjax.tissue.maps import IrisMaps
 from render.small_scenes import around, rays_of
-from render.tracing import disc, soft_edge, trace
+from render.tracing import above, disc, meet, normals, soft_edge, towards, trace
 
 CLEAR = Cornea(scatter=None)
 EYE = Eye(sclera=None, cornea=CLEAR)
@@ -36,15 +36,12 @@ IRIS = ij.Iris.of_level("low")
 def test_near_lamp_on_the_iris(tables):
     """Rays that part from the lamp itself, counted where they land."""
     k, area = disc(5.65, 200_000)
-    radius, shape = float(CLEAR.anterior.radius), float(CLEAR.anterior.shape)
-    entry = np.column_stack([k, (radius - np.sqrt(radius**2 - shape * (k**2).sum(1))) / shape])
-    lamp = 50.0 * np.array([np.sin(0.5), 0.0, -np.cos(0.5)])
-    way = lamp - entry
+    way = 50.0 * towards(0.5) - above(CLEAR.anterior, k)
     length = np.linalg.norm(way, axis=1)
     traced = trace(EYE, k, way / length[:, None])
     power = np.where(traced.inside, traced.power, 0) * area * (50.0 / length) ** 2
     power = power * soft_edge(np.hypot(*k.T), 5.5)
-    field = shading.incident_flux(Lights.points(lamp, 1.0), EYE, tables)[0]
+    field = shading.incident_flux(Lights.points(50.0 * towards(0.5), 1.0), EYE, tables)[0]
     line = np.linspace(-1, 1, field.shape[-1]) * float(EYE.iris_radius)
     x, y = np.meshgrid(line, line)
     for place in ((0.0, 0.0), (-2.5, 0.0), (0.0, 2.5)):
@@ -120,17 +117,8 @@ def test_near_lamp_is_mirrored_where_it_stands(tables):
     """Where a line of sight, mirrored by hand on the cornea's conicoid, points at the lamp."""
     lamp, camera = np.array([15.0, 10.0, -40.0]), Camera(size=(240, 180), width=11.0)
     origin, d = (np.asarray(v) for v in rays_of(camera, WHITE))
-    radius, p = float(CLEAR.anterior.radius), float(CLEAR.anterior.shape)
-    w = np.array([1, 1, p])
-    a, b, c = (
-        (w * d * d).sum(-1),
-        d @ (w * origin) - radius * d[..., 2],
-        (w * origin) @ origin - 2 * radius * origin[2],
-    )
-    with np.errstate(invalid="ignore"):
-        point = origin + ((-b - np.sqrt(b * b - a * c)) / a)[..., None] * d
-    normal = w * point - [0, 0, radius]
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    point = origin + meet(CLEAR.anterior, origin, d)[..., None] * d
+    normal = normals(CLEAR.anterior, point)
     mirror = d - 2 * (d * normal).sum(-1, keepdims=True) * normal
     off = np.linalg.norm(
         (lamp - point) / np.linalg.norm(lamp - point, axis=-1, keepdims=True) - mirror, axis=-1
@@ -190,8 +178,8 @@ def test_cone_is_lit_alike_by_both_tables():
     counted = trace_flux(eye, jnp.asarray(UNIQUE_POLAR), size, jnp.asarray(extent), 100_000)
     line = jnp.linspace(-1, 1, size) * extent
     points = jnp.stack(jnp.meshgrid(line, line), axis=-1)
-    towards = jnp.array([np.sin(UNIQUE_POLAR), 0.0, -np.cos(UNIQUE_POLAR)])
-    found = RefractionFunction.build(eye, n_azimuth=24, n_radius=40).at(points, towards)
+    made = RefractionFunction.build(eye, n_azimuth=24, n_radius=40)
+    found = made.at(points, jnp.asarray(towards(UNIQUE_POLAR)))
     searched = limbus_window(eye, found.entry)[..., None] * found.flux
     inside = np.hypot(*np.meshgrid(line, line)) < 3.0
     ratio = np.asarray(counted[..., 2])[inside].sum() / np.asarray(searched[..., 2])[inside].sum()

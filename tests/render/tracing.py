@@ -21,6 +21,32 @@ def towards(polar):
     return np.array([np.sin(polar), 0.0, -np.cos(polar)])
 
 
+def above(surface, k):
+    """Points of a conicoid at (x, y), (rays, 3)."""
+    radius, p, apex = _numbers(surface)
+    return np.column_stack([k, apex + (radius - np.sqrt(radius**2 - p * (k**2).sum(1))) / p])
+
+
+def normals(surface, point):
+    """Unit normals out of the eye at points (…, 3) of a conicoid."""
+    radius, p, apex = _numbers(surface)
+    normal = (point - [0, 0, apex]) * [1, 1, p] - [0, 0, radius]
+    return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+
+
+def meet(surface, point, d):
+    """Distances along rays (…, 3) to a conicoid, NaN for rays that miss it."""
+    radius, p, apex = _numbers(surface)
+    o, w = point - [0, 0, apex], np.array([1, 1, p])
+    a, b, c = (
+        (w * d * d).sum(-1),
+        (w * o * d).sum(-1) - radius * d[..., 2],
+        (w * o * o).sum(-1) - 2 * radius * o[..., 2],
+    )
+    with np.errstate(invalid="ignore"):
+        return (-b - np.sqrt(b * b - a * c)) / a
+
+
 def trace(eye, k, light):
     """Light from the unit vector `light`, one for all or one a ray, that enters at k (rays, 2)."""
     cornea = eye.cornea
@@ -29,26 +55,16 @@ def trace(eye, k, light):
     ]
     if cornea.posterior is not None:
         surfaces.append((cornea.posterior, float(eye.aqueous_index)))
-    radius, p, apex = _numbers(cornea.anterior)
-    point = np.column_stack([k, apex + (radius - np.sqrt(radius**2 - p * (k**2).sum(1))) / p])
+    point = above(cornea.anterior, k)
     d = np.broadcast_to(-np.asarray(light, float), (len(k), 3)).copy()
     share, n_in, met, inside = np.ones(len(k)), 1.0, [], np.ones(len(k), bool)
     with np.errstate(invalid="ignore", divide="ignore"):
         for surface, n_out in surfaces:
-            radius, p, apex = _numbers(surface)
             if met:
-                o, w = point - [0, 0, apex], np.array([1, 1, p])
-                a, b, c = (
-                    (w * d * d).sum(1),
-                    (w * o * d).sum(1) - radius * d[:, 2],
-                    (w * o * o).sum(1) - 2 * radius * o[:, 2],
-                )
-                t = (-b - np.sqrt(b * b - a * c)) / a
+                t = meet(surface, point, d)
                 inside &= t > 0
                 point = point + t[:, None] * d
-            x, y, z = (point - [0, 0, apex]).T
-            normal = np.column_stack([x, y, p * z - radius])
-            normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+            normal = normals(surface, point)
             cos_in = -(d * normal).sum(1)
             along = (d + cos_in[:, None] * normal) * (n_in / n_out)
             cos_out = np.sqrt(1 - (along**2).sum(1))

@@ -200,6 +200,15 @@ def test_ctrl_c_is_how_it_ends(tmp_path, seconds):
         time.sleep(seconds)
 
 
+def _turn(page, x, y):
+    """Drag the eye to the left from a point of the page."""
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x - 60, y, steps=6)
+    page.mouse.up()
+    page.get_by_text(re.compile(r"camera [1-9]\d*° off axis")).wait_for(timeout=30_000)
+
+
 @pytest.mark.peer
 def test_page(browser, address):
     """A slider moves, the picture changes, nothing complains."""
@@ -240,12 +249,7 @@ def test_page(browser, address):
     assert float(slider.get_attribute("aria-valuenow")) < 1.0
     time.sleep(1.0)
     page.get_by_text("camera 0° off axis").wait_for(timeout=5_000)
-    middle = [box[name] + box[size] / 2 for name, size in (("x", "width"), ("y", "height"))]
-    page.mouse.move(*middle)
-    page.mouse.down()
-    page.mouse.move(middle[0] - 60, middle[1], steps=6)
-    page.mouse.up()
-    page.get_by_text(re.compile(r"camera [1-9]\d*° off axis")).wait_for(timeout=30_000)
+    _turn(page, *(box[at] + box[size] / 2 for at, size in (("x", "width"), ("y", "height"))))
     assert errors == []
 
 
@@ -277,11 +281,7 @@ def test_a_clone_beside_its_photograph(browser, tmp_path):
         assert green(-60, True)
         assert green(60, False)
         slider = page.get_by_role("slider").first
-        page.mouse.move(x, y)
-        page.mouse.down()
-        page.mouse.move(x - 60, y, steps=6)
-        page.mouse.up()
-        page.get_by_text(re.compile(r"camera [1-9]\d*° off axis")).wait_for(timeout=30_000)
+        _turn(page, x, y)
         assert green(-60, False)
         assert float(slider.get_attribute("aria-valuenow")) == 0
         slider.focus()
