@@ -43,9 +43,9 @@ def rays_of(camera, eye):
 
 def ring(height, radii=24, angles=48):
     """A map of (x, y) functions: values at texels of a 0.25 to 5.5 mm iris."""
-    angle, radius = cell_centres((angles, radii))
+    angle, radius = map(np.asarray, cell_centres((angles, radii)))
     r = 0.25 + 5.25 * radius
-    return height(r * jnp.cos(angle)[:, None], r * jnp.sin(angle)[:, None])
+    return height(r * np.cos(angle)[:, None], r * np.sin(angle)[:, None])
 
 
 def maps_of(**changes):

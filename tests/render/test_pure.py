@@ -161,7 +161,7 @@ def test_derivatives_through_a_cornea(tables):
 
 @pytest.mark.slow  # half a minute of compiling
 def test_single_precision(tables):
-    maps = IrisMaps(stroma_depth=ring(lambda x, y: 0.28 + 0.1 * jnp.sin(3 * x)))
+    maps = IrisMaps(stroma_depth=ring(lambda x, y: 0.28 + 0.1 * np.sin(3 * x)))
 
     def picture(x64):
         with jax.enable_x64(x64):

@@ -162,7 +162,7 @@ def test_light_from_behind_fades_out(illumination):
     without = Illumination(illumination.flux[:53], illumination.extent, UNIQUE_POLAR)
     for tables, largest in ((without, 1.40), (illumination, 2.25)):
         lights = map(towards, (largest, largest + 0.025, largest + 0.051, 3.1))
-        at = [float(jnp.abs(_at(tables, jnp.zeros(2), d)).max()) for d in lights]
+        at = [np.abs(_at(tables, np.zeros(2), d)).max() for d in lights]
         assert at[0] >= at[1] >= at[2] == at[3] == 0
 
 

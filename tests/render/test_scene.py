@@ -113,7 +113,7 @@ def test_rows_run_down_and_columns_right():
     at the top.
     """
     slope, polar = 0.2, 0.5
-    dome = maps_of(relief=ring(lambda x, y: 1 - slope * jnp.hypot(x, y)) - 0.5)
+    dome = maps_of(relief=ring(lambda x, y: 1 - slope * np.hypot(x, y)) - 0.5)
     x, y = places(SMALL)
     inside = (np.hypot(x, y) > 1.0) & (np.hypot(x, y) < 5.0)
     flat = np.asarray(draw(scene(polar=polar, maps=maps_of())))
