@@ -149,13 +149,26 @@ def test_shadow_of_the_limbus_has_its_edge(illumination):
 
 
 def test_the_rim_is_as_bright_as_its_surroundings(illumination, tables):
-    """The grid's edge cells reach beyond the iris: they must hold all the light there."""
+    """Of searched rays."""
     light = towards(0.7)
     points = np.stack([-np.linspace(5.3, 5.495, 2000), np.zeros(2000)], -1)
     found = _look_up(tables, points, light)
     window = soft_edge(np.linalg.norm(found.entry, axis=1), 5.5)
     exact = window[:, None] * np.asarray(found.flux)
     np.testing.assert_allclose(_at(illumination, points, light), exact, rtol=0.02, atol=1e-3)
+
+
+def test_counted_rays_light_the_rim_to_its_edge(illumination):
+    """By light from 109°: the edge cells, which reach beyond the iris, must hold all of it."""
+    landed, power = let_in(1.9, 200_000)
+    inner, outer, half = -5.41, -5.49, 0.8
+    x, y = landed.T
+    met = (x < inner) & (x > outer) & (np.abs(y) < half)
+    true = power[met].sum() / (2 * half * (inner - outer))
+    line = np.linspace(-1, 1, 41)
+    points = np.stack(np.meshgrid((inner + outer + 0.08 * line) / 2, half * line), -1)
+    found = np.asarray(_at(illumination, points, towards(1.9))[..., 2]).mean()
+    assert found == pytest.approx(true, rel=0.05)
 
 
 def test_light_from_behind_fades_out(illumination):
