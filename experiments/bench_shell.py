@@ -51,7 +51,6 @@ PARTS = {
     "imports": "_find_and_load",
     "lowering": "lower_sharding_computation",
     "compiling_or_loading": "compile_or_get_cached",
-    "sampling_steps": "advance",
 }
 PROFILED = """
 import cProfile, json, pstats, sys, time
