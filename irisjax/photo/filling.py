@@ -9,8 +9,8 @@ from irisjax.photo.texture import fill_holes
 
 _TURNS = 48  # places round the iris from which a hidden region may be filled
 _BORDER = 6  # cells about a region in which the places are compared
-_MOST_OFF = 2.0  # standard deviations by which a place counts as different at most
-_CONTINUED = 4  # cells whose mean is continued
+_MOST_OFF = 2.0  # standard deviations beyond which a difference at a border counts no more
+_CONTINUED = 4  # cells next to an edge, whose mean continues it
 _FADES = 0.08  # depth under a lid at which differences are a third, of the iris's width
 
 
@@ -20,11 +20,11 @@ def fill_by_texture(
     """Fill hidden cells of polar maps; the others stay exact.
 
     The edges, where pupil or white show through all round, continue the cells next to them. Each
-    other region is filled from where the iris, turned by some angle, is seen, differs least along
-    the region's border, and is as the iris usually is at its radius: no mirror image that was taken
-    for iris comes again. What still differs at the border is spread smoothly over a region with a
-    border all round. Under a lid, whose shade alone may be the difference, it fades away from the
-    border.
+    other region is filled from another place: the iris is turned by the angle at which it is seen,
+    differs least along the region's border, and is nearest to the median at each radius, so that a
+    mirror image which was taken for iris is not repeated. What still differs at the border is
+    spread smoothly over a region with a border all round. Under a lid, whose shade alone may be the
+    difference, it fades away from the border.
     """
     if not hidden.any() or hidden.all():
         return layers
@@ -40,16 +40,19 @@ def fill_by_texture(
         # A place that is itself hidden is the last choice.
         unseen = [int(hidden[(inside[0] - t) % len(hidden), inside[1]].sum()) for t in turns]
 
-        def worth(turn: int, at_border=at_border, inside=inside, edge=edge) -> float:
+        def unlikeness(turn: int, at_border=at_border, inside=inside, edge=edge) -> float:
+            """Mean squares of what differs at the border and, inside, from the usual iris."""
             there = smooth[(inside[0] - turn) % len(hidden), inside[1]]
-            strange = (((there - usual[inside[1]]) / scale) ** 2).mean()
+            unusual = (((there - usual[inside[1]]) / scale) ** 2).mean()
+            if not len(at_border):
+                return float(unusual)
             turned = smooth[(edge[0] - turn) % len(hidden), edge[1]]
-            # What is left of a mirror image at the border is like nothing else.
+            # A border may keep some of a mirror image, to which no place is alike.
             off = np.minimum(np.abs(at_border - turned) / scale, _MOST_OFF)
-            return -float(strange + (off**2).mean() if len(off) else strange)
+            return float(unusual + (off**2).mean())
 
-        shown = [t for t, count in zip(turns, unseen, strict=True) if count == min(unseen)]
-        turn = max(shown, key=worth)
+        candidates = [t for t, n in zip(turns, unseen, strict=True) if n == min(unseen)]
+        turn = min(candidates, key=unlikeness)
         turned = smooth[np.ix_((rows - turn) % len(hidden), columns)]
         if not region.all():
             difference = fill_holes(smooth[box] - turned, region)
@@ -63,23 +66,26 @@ def fill_by_texture(
 
 def _continue_edges(
     cells: Float[np.ndarray, "angles radii layers"], hidden: Bool[np.ndarray, "angles radii"]
-):
-    """Continue the first and the last cells that are seen at each angle to the pupil and the root,
-    but for angles at which more than twice as much is hidden there as at most others, as by a lid.
+) -> tuple[Float[np.ndarray, "angles radii layers"], Bool[np.ndarray, "angles radii"]]:
+    """Continue what is seen at each angle to the pupil and to the root of the iris.
+
+    An angle at which more than twice as many cells are hidden before an edge as at a quarter of the
+    angles is left out: a lid hides them.
 
     Returns:
         The cells, and those that are still hidden.
     """
-    cells, still, seen = cells.copy(), hidden.copy(), ~hidden.all(1)
-    for way in (1, -1):  # from the pupil, from the root
-        values, shown, left = cells[:, ::way], ~hidden[:, ::way], still[:, ::way]
-        depth = np.argmax(shown, axis=1)
-        widest = 2 * np.quantile(depth[seen], 0.25)
-        for a in np.flatnonzero(seen & (depth > 0) & (depth <= widest)):
-            next_to = slice(depth[a], depth[a] + _CONTINUED)
-            values[a, : depth[a]] = values[a, next_to][shown[a, next_to]].mean(0)
-            left[a, : depth[a]] = False
-    return cells, still
+    cells, still_hidden, seen = cells.copy(), hidden.copy(), ~hidden.all(1)
+    for step in (1, -1):  # from the pupil outwards, from the root inwards
+        outer, shown, remaining = cells[:, ::step], ~hidden[:, ::step], still_hidden[:, ::step]
+        depth = np.argmax(shown, axis=1)  # number of hidden cells before the edge
+        deepest = 2 * np.quantile(depth[seen], 0.25)
+        for angle in np.flatnonzero(seen & (depth > 0) & (depth <= deepest)):
+            first = depth[angle]
+            beside = slice(first, first + _CONTINUED)
+            outer[angle, :first] = outer[angle, beside][shown[angle, beside]].mean(0)
+            remaining[angle, :first] = False
+    return cells, still_hidden
 
 
 def _regions(hidden: Bool[np.ndarray, "angles radii"]):

@@ -44,7 +44,7 @@ POSED = {"tilt_deg", "tilt_sd_deg", "distance_mm", "azimuth_deg", "pupil_radius_
 
 @pytest.fixture(scope="module")
 def truth():
-    """Of the photograph at an eighth of its size."""
+    """Return the true outlines in the photograph at an eighth of its size."""
     entries = json.loads((DATA / "truth.json").read_text())["photographs"]
     found = next(entry for entry in entries if entry["file"] == NAME)
     for name in ("limbus", "pupil"):

@@ -140,7 +140,9 @@ def test_a_moving_average_correlates_what_it_averages():
 
 
 def test_a_slit_averages_the_light():
-    """By quadrature, from which light of single wavelengths is up to 18 % off."""
+    """The expected values are integrals over the slit, from which light of single wavelengths is up
+    to 18 % off.
+    """
     fine, blank = np.arange(350.0, 801, 1), ij.spectrum(GRID, np.ones(GRID.size), bands=20.0)
     problem = ij.problem(blank, free=["hemoglobin"], solver=CLOSED)
     found, *_ = evaluated(problem, problem.standard({"hemoglobin": 0.2}))
@@ -229,7 +231,7 @@ def test_what_scatters_less_or_more_than_usual_is_read_too():
         assert status == RESULTS.successful
         if scale < 200:
             np.testing.assert_allclose(by_table(low, 0.1, scale), expected, rtol=3e-5)
-    # By RadiativeExact(40, 8, 5), with a noise of 2 %.
+    # These values were made by RadiativeExact(40, 8, 5), with a noise of 2 %.
     values = [0.06345, 0.12487, 0.16804, 0.13968, 0.12198, 0.14416, 0.13176, 0.11241]
     off = (values / by_table(ij.Iris().replace(abl_fraction=0.5), 0.2, 20.0) - 1) / 0.02
     assert (off**2).sum() < stats.chi2(8).ppf(0.999)

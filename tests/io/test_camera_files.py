@@ -28,7 +28,7 @@ DIAGONAL = np.hypot(36, 24)
     ],
 )
 def test_focal_length(tmp_path, tags, expected):
-    """Of an upright photograph whose sensor lay on its side."""
+    """The photograph is upright, and the sensor lay on its side."""
     found = io.read_photograph(jpeg(tmp_path / "p.jpg", exif=exif(6, **tags)))
     assert found.focal_px == (None if expected is None else pytest.approx(expected, rel=1e-3))
     assert any("ignored" in note for note in found.notes) == (tags == {"film": 65000})

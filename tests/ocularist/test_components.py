@@ -195,7 +195,7 @@ def test_what_is_wrong_is_said_in_one_line(name, given, line):
 
 
 def test_scans_are_one_less_their_grey_value():
-    """Of colours by the weights of ITU-R BT.709, of what is not opaque on white."""
+    """Colours become grey by the weights of ITU-R BT.709; what is not opaque lies on white."""
     grey = np.array([[0, 51], [204, 255]], np.uint8)
     opaque = np.array([[1, 0.8], [0.2, 0]], np.float32)
     same = grey.astype(np.uint16) * 257, 1 - opaque, np.repeat(grey[..., None], 3, 2)

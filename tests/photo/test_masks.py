@@ -1,4 +1,4 @@
-"""What hides the iris: highlights, lashes, lids, and shadows of lashes; and its freckles."""
+"""Masks of highlights, lashes, lids and shadows of lashes, which hide the iris, and of freckles."""
 
 import functools
 

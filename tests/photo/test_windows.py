@@ -72,13 +72,15 @@ def test_the_iris_alone_is_a_disc_within_the_limbus():
 
 @functools.cache
 def lamps():
-    """As many as stand for a room, so that one program serves both."""
+    """Return as many lamps as stand for a room, so that one program serves both."""
     return Environment.studio(32).to_lights(ENVIRONMENT_LIGHTS)
 
 
 @pytest.fixture(scope="module")
 def pixels():
-    """Of a picture by lamps in a room; of an eye without a cornea, whose tables take seconds."""
+    """Choose pixels of a picture by lamps in a room; the eye has no cornea, as the tables of one
+    take seconds.
+    """
     room = Environment.uniform(0.4)
     scene = Scene(OTHER, maps(), BARE, lamps(), room, CAMERA, integrator=QUICK)
     return choose_pixels(picture_of(view(True), scene), alone(True), view(True), BARE)

@@ -30,7 +30,7 @@ SHAPE = CAMERA.shape
 
 @functools.cache
 def view(bare: bool = False) -> View:
-    """What the camera sees, with a cornea or without one."""
+    """Project what the camera sees of the eye, with its cornea or `bare` of it."""
     return project_visible(BARE if bare else EYE, CAMERA)
 
 

@@ -114,7 +114,9 @@ def test_near_lamp_on_the_white():
 
 @pytest.mark.peer
 def test_near_lamp_is_mirrored_where_it_stands(tables):
-    """Where a line of sight, mirrored by hand on the cornea's conicoid, points at the lamp."""
+    """The image lies where a line of sight that is mirrored by hand on the cornea's conicoid points
+    at the lamp.
+    """
     lamp, camera = np.array([15.0, 10.0, -40.0]), Camera(size=(240, 180), width=11.0)
     origin, d = (np.asarray(v) for v in rays_of(camera, WHITE))
     point = origin + meet(CLEAR.anterior, origin, d)[..., None] * d
