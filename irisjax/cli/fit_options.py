@@ -15,7 +15,7 @@ from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
 from irisjax.infer.priors import AbstractPrior, prior_of
 from irisjax.io.measured import QUANTITIES, REFLECTANCE_UNITS, WAVELENGTH_UNITS, ReadOptions
 from irisjax.measure.passbands import BANDWIDTH
-from irisjax.numerics.checks import Range
+from irisjax.numerics.checks import Range, check_known
 from irisjax.transport.process import DEPTH_RESOLVED, PROCESSES, option_of
 
 Span = tuple[float, float]
@@ -58,7 +58,10 @@ def _parse_discrepancy(text: str) -> Span:
 
 
 def _parse_names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    for name in names:
+        check_known("parameter", name, PARAMETERS)
+    return names
 
 
 def _parse_assignment(text: str) -> tuple[str, str]:

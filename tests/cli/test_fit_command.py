@@ -245,11 +245,11 @@ def test_short_chains_end_with_status_three(irisjax, eye, sampled, monkeypatch):
     [
         ((), "give the SPECTRUM of an eye, or --batch"),
         (("{eye}", "--batch", "{eye}"), "give the SPECTRUM of an eye, or --batch"),
-        (("{eye}", "{eye}", "--separate", "melanin"), "unknown parameter 'melanin'"),
+        (("{eye}", "{eye}", "--separate", "melanin"), "--separate: unknown parameter 'melanin'"),
         (("{eye}", "{eye}", "--separate", "abl_thickness"), "is not free"),
         (("{eye}", "--separate", "melanin_load"), "--separate needs two or more spectra"),
         (("missing.csv",), "missing.csv: No such file"),
-        (("{eye}", "--free", "melanin"), "unknown parameter 'melanin'"),
+        (("{eye}", "--free", "melanin"), "--free: unknown parameter 'melanin'"),
         (("{eye}", "--fix", "gain"), "--fix: 'gain': write NAME=VALUE"),
         (("{eye}", "--fix", "gain=-1"), "gain = -1 is outside (0, 1e+06]"),
         (("{eye}", "--fix", "gian=1"), "--fix: unknown 'gian'"),
