@@ -35,24 +35,24 @@ _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red an iris.
 _THICKNESS = {"hazel": 0.35, "amber": 0.55, "brown": 0.35}
 _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.0354, 0.00963, 0.0678, 0.208, 7.16), (0.0269, 0.0154, 0.165, 0.148, 13.6)),
-    "grey": ((0.0908, 0.0254, 0.537, 0.142, 9.79), (0.0619, 0.0409, 0.372, 0.12, 18)),
-    "green": ((0.00615, 0.481, 0.98, 0.0119, 16.5), (0.023, 0.644, 0.98, 0.0249, 29.5)),
-    "hazel": ((0.458, 0.582, 0.716, 0.264, 32.5), (0.216, 0.722, 0.917, 0.134, 32.8)),
-    "amber": ((0.074, 0.718, 0.545, 0.143, 39.8), (0.0467, 0.714, 0.589, 0.0683, 34.3)),
-    "brown": ((0.345, 1.01, 0.753, 0.343, 38.5), (0.318, 0.664, 0.739, 0.248, 35.2)),
-    "dark-brown": ((1.07, 0.228, 0.466, 0.277, 30.5), (0.528, 0.48, 0.727, 0.164, 34.1)),
+    "blue": ((0.0242, 0.00748, 0.0926, 0.212, 7.41), (0.11, 0.00712, 0.0233, 0.146, 14.3)),
+    "grey": ((0.1, 0.0306, 0.509, 0.153, 9.85), (0.039, 0.0325, 0.512, 0.123, 17.4)),
+    "green": ((0.00707, 0.525, 0.98, 0.0134, 15.8), (0.0248, 0.727, 0.98, 0.0279, 26.5)),
+    "hazel": ((0.505, 0.612, 0.666, 0.253, 30.7), (0.204, 1.07, 0.628, 0.129, 34)),
+    "amber": ((0.0668, 0.812, 0.52, 0.145, 35.8), (0.0472, 0.895, 0.551, 0.0592, 33.2)),
+    "brown": ((0.374, 1.09, 0.788, 0.304, 38.2), (0.34, 0.918, 0.722, 0.208, 35.6)),
+    "dark-brown": ((1.21, 0.201, 0.455, 0.265, 30.3), (0.392, 0.674, 0.658, 0.183, 31)),
 }
 # Thicker stroma is darker in brown irides, so that their fibres show less.
-_BROWN = {"abl": 0.5, "fibres": 0.8, "collarette": 0.5}
+_BROWN = {"abl": 0.5, "fibres": 0.6, "clouds": 0.5, "collarette": 0.5}
 _FEATURES: dict[str, dict[str, Any]] = {
-    "blue": {"crypts": 9, "patches": 0.7, "furrows": 2, "looseness": 0.3},
-    "grey": {"crypts": 13, "patches": 0.8, "looseness": 0.8, "fibres": 1.1},
-    "green": {"crypts": 10, "patches": 0.8, "amber": 1.5, "heterochromia": 2.0, "abl": 0.5},
-    "hazel": {"crypts": 10, "patches": 0.7, "heterochromia": 2.5, "abl": 0.9, "freckles": 4},
-    "amber": {"crypts": 8, "patches": 1.2, "amber": 1.0, "heterochromia": 0.5, "abl": 0.6}
-    | {"fibres": 0.8},
-    "brown": {"crypts": 7, "patches": 1.0, "furrows": 6} | _BROWN,
+    "blue": {"crypts": 9, "patches": 0.7, "furrows": 2, "looseness": 0.3, "clouds": 0.8},
+    "grey": {"crypts": 13, "patches": 0.8, "looseness": 0.8, "clouds": 0.7},
+    "green": {"crypts": 10, "patches": 0.4, "amber": 1.5, "heterochromia": 2.0, "abl": 0.5},
+    "hazel": {"crypts": 10, "patches": 0.8, "heterochromia": 2.5, "abl": 0.4, "freckles": 4},
+    "amber": {"crypts": 8, "patches": 1.2, "amber": 1.0, "heterochromia": 0.5, "abl": 0.3}
+    | {"fibres": 0.8, "clouds": 0.6},
+    "brown": {"crypts": 7, "patches": 1.2, "amber": 0.3, "furrows": 6} | _BROWN | {"abl": 0.0},
     "dark-brown": {"crypts": 5, "patches": 0.4, "furrows": 7} | _BROWN,
 }
 
@@ -74,12 +74,12 @@ def preset(
     them for each process so that a picture in the studio shows the visible iris, through the cornea
     and with the preset's maps, in the colour of photographed irides within one standard deviation
     (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Of all such
-    values it chooses the pigments nearest to usual ones and the weakest scattering: 7 to 40 times
+    values it chooses the pigments nearest to usual ones and the weakest scattering: 7 to 38 times
     LB06's by ILIT and 14 to 35 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
     other soft tissues have. Hazel, brown and amber also need a stroma of 0.35, 0.35 and 0.55 mm.
     Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
     Exp. Eye Res. 67, 293]. The redness of photographed irides requires more blood than LB06's 0.084
-    mmol/l, at most 0.343, a seventh of pure blood's; its saturation is 0.95, as in the
+    mmol/l, at most 0.304, an eighth of pure blood's; its saturation is 0.95, as in the
     choroid, since a saturation of 0.5 would require twice as much blood. Fibrils have LB06's
     radius, which has the same effect as the strength. Hazel and green eyes are browner near the
     pupil, where their maps add eumelanin.
@@ -107,7 +107,7 @@ def preset(
     fields |= {"saturation": _SATURATION, "stroma_thickness": thickness}
     iris = Iris().replace(**fields).replace(**dict(pigments or {}))
     # A share of the thickness, so that the relief is as high in a thicker stroma.
-    arguments: dict[str, Any] = {"relief": 0.12 * usual / thickness, "margins": 0.6}
+    arguments: dict[str, Any] = {"relief": 0.14 * usual / thickness, "margins": 0.6}
     arguments |= _FEATURES.get(colour, {}) | dict(features or {})
     # Presets of one key have patterns of their own.
     key = jax.random.fold_in(key, list(_PIGMENTS).index(colour))

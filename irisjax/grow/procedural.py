@@ -4,7 +4,9 @@ The stroma follows the ultrasound profile of [F09 Section 3] and has two layers.
 fibres that lean to either side and cross lies below; above it cords of uneven thickness wander,
 cross and shade one another; slits part them in the pupillary zone. Fuchs's crypts are gaps between
 bundles, open in a wreath outside the collarette. Density, sharpness and pigment vary in clouds,
-sectors and rings. Features are drawn from what photographs show, not fitted to anything.
+tufts, sectors and rings; where the stroma is thin, its pigment is denser. Features are drawn from
+what photographs show, not fitted to anything; contrasts along a ring, from 1 to 17 degrees of
+angle, are about those of five photographs (0.05 to 0.13 of the brightness at each scale).
 """
 
 import math
@@ -38,7 +40,7 @@ from irisjax.tissue.maps import IrisMaps, cell_centres
 IPE_THICKNESS = 0.07
 """Thickness of the iris pigment epithelium, mm, which ultrasound includes  [F09 Section 3]."""
 COLLARETTE = 0.30  # mean radius of the collarette between the pupil's edge (0) and the root (1)
-STROMA, ABL, MELANIN = (0.13, 2.6), (0.5, 1.6), (0.4, 2.5)
+STROMA, ABL, MELANIN = (0.1, 2.2), (0.5, 1.6), (0.4, 2.5)
 """Ranges of maps relative to their means: wider ones cost the renderer's tables accuracy."""
 SMOOTH_STROMA = 0.2, 1.8
 """The range of a stroma without fibres."""
@@ -50,12 +52,12 @@ BUNDLE_CELLS = (53, 4, 1.0), (139, 4, 0.0)
 radius, and whether they are wide.
 """
 UPPER_FIBRES = (
-    (191, 1.5, 0.30, 0.7, 0.03),
-    (167, 1.5, 0.30, 0.7, -0.03),
-    (139, 1.4, 0.28, 0.8, 0.02),
-    (113, 1.3, 0.25, 0.9, -0.02),
-    (83, 1.1, 0.22, 0.9, 0.012),
-    (53, 0.8, 0.16, 1.0, -0.012),
+    (191, 1.2, 0.36, 0.8, 0.02),
+    (167, 1.2, 0.34, 0.8, -0.02),
+    (139, 1.1, 0.32, 0.9, 0.015),
+    (113, 1.0, 0.28, 0.9, -0.015),
+    (83, 0.9, 0.22, 1.0, 0.01),
+    (53, 0.7, 0.16, 1.1, -0.01),
 )
 LOWER_FIBRES = (
     (139, 1.2, 0.35, 0.8, 0.08),
@@ -119,7 +121,8 @@ def procedural(
             crests of furrows, and mottled; 1 as in a brown iris.
         heterochromia: Eumelanin added round the pupil, in rays, relative to the rest.
         amber: Pheomelanin added round the pupil, in a wide and cloudy ring, relative to the rest.
-        patches: Contrast of patches and sectors of eumelanin, and of its ring at the root.
+        patches: Contrast of patches and sectors of eumelanin, and of its ring at the root. Pigments
+            with a map are also denser in thin tissue, nearly as if each area had as much of them.
         ruff: Width of the scalloped, dark seam of pigment epithelium at the pupil's edge, relative
             to a usual one; the stroma ends before it.
         relief: Share of the uneven thickness that rises towards the cornea; the rest lies below. 0
@@ -178,7 +181,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     mean_stroma = mean_thickening * iris.stroma_thickness
     mean_abl = mean_thickening * iris.abl_thickness
     looseness = amounts["looseness"] * smoothstep(0.5 + 1.6 * openness)
-    focus = 0.1 + 0.9 * smoothstep(0.6 + 1.5 * blur + 0.6 * mist)
+    focus = 0.3 + 0.7 * smoothstep(0.6 + 1.5 * blur + 0.6 * mist)
     bent_turns = turns + compression * (0.006 * bend + (0.0015 + 0.003 * looseness) * arc)
     # Fibres of the ciliary zone curl; those that a wide pupil compresses do so already.
     bent_turns += 0.0012 / compression * smoothstep((radius - 0.2) / 0.3) * curl
@@ -192,11 +195,13 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     # Strands run straight inside the collarette, and wander outside and round a wide pupil.
     freedom = compression * (0.25 + smoothstep((radius - ring) / 0.2)) * (0.4 + looseness)
     freedom = jnp.minimum(freedom, MOST_FREEDOM)
-    cords, mesh, streak, gap = _fibres(fibres, bent_turns, radius, freedom, capacity, shape[0] // 4)
+    strands = bent_turns, radius, freedom, capacity
+    cords, mesh, *streaks = _fibres(fibres, *strands, radius + 0.2 * mist, shape[0] // 4)
+    streak, gap, sector, tuft = streaks
     cords, mesh = (_defocus(field, focus) for field in (cords, mesh))
-    outside = smoothstep((ragged_radius - ring) / 0.06 + 0.5)
+    outside = smoothstep((ragged_radius - ring) / 0.2 + 0.5)
     # Between the cords of the pupillary zone lie slits, which narrow outwards.
-    taper = jnp.maximum(1 - radius / (ring * (0.75 + 0.6 * mist)), 0.0)
+    taper = jnp.maximum(1 - radius / (ring * (1.1 + 0.9 * mist)), 0.0)
     slit = jnp.exp(-((4 * gap) ** 2) / (taper + 1e-3)) * smoothstep(6 * taper)
     # Near the root the cords bend into arcs.
     root = jnp.exp(-((3 * arc) ** 2)) * smoothstep((radius - 0.6) / 0.3)
@@ -204,14 +209,14 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     opening *= jnp.minimum(1.0, 1.3 / compression)  # a wide pupil closes them
     contrast = amounts["fibres"] * (0.5 + 0.5 * focus)
     # Logarithms of the stroma's thickness: `surface` rises towards the cornea, `inner` lies below.
-    inner = contrast * ((1.6 + opening) * mesh + 0.7 * wool + 0.5 * streak + 0.4 * root)
+    inner = contrast * ((1.6 + opening) * mesh + 1.4 * wool + 0.5 * streak + 0.4 * root)
     frame = 4 * opening * (1 - opening)  # a crypt's rim
-    upper = (2.5 + 2.5 * outside) * (cords - 0.18) + 0.8 * outside * looseness * (bundle - 0.3)
+    upper = (3.5 + 2.5 * outside) * (cords - 0.18) + 0.8 * outside * looseness * (bundle - 0.3)
     surface = contrast * upper
-    clouds = 0.8 * cloud + 0.6 * wide + 0.5 * mist
+    clouds = 0.8 * cloud + 0.6 * wide + 0.8 * mist + 1.3 * sector + 1.7 * tuft
     surface += 1.3 * amounts["clouds"] * clouds * (0.4 + 0.6 * outside)
     crests, pupillary = _collarette(wreath, turns, ragged_radius, ring)
-    surface += amounts["collarette"] * (0.2 * crests - 0.3 * pupillary)
+    surface += amounts["collarette"] * (0.6 * crests - 0.3 * pupillary)
     surface -= 0.5 * opening + 0.4 * contrast * slit
     seam = _pupillary_ruff(wreath, turns, radius / compression)
     rim = jnp.where(amounts["ruff"] > 0, seam, 0.0)
@@ -222,7 +227,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     edge = smoothstep((radius - 0.78 + 0.2 * cloud + 0.15 * wide + 0.1 * mist) / 0.3)
     inner -= 1.2 * amounts["margins"] * (margin + edge)
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
-    stroma = jnp.log(stroma * thickening) + 0.85 * (surface + inner)
+    stroma = jnp.log(stroma * thickening) + 0.7 * (surface + inner)
     mottling = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * (cords - 0.18)
     abl = jnp.log(thickening) + amounts["abl"] * mottling
     abl = _limit_range(abl, distance, mean_abl, ABL)
@@ -230,9 +235,10 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     height = mean_stroma * _soften(jnp.tanh(0.7 * surface) / 0.7, 3)
     height += jnp.where(amounts["abl"] > 0, abl - mean_abl, 0.0)
     reach = ring + 0.14 + 0.25 * cloud + 0.15 * wide + 0.1 * streak + 0.1 * (cords - 0.18)
-    zone = smoothstep((reach - ragged_radius) / 0.25 + 0.5)
+    zone = smoothstep((reach - ragged_radius) / 0.5 + 0.5)
     eumelanin = jnp.log1p(amounts["heterochromia"] * zone * (1 + 0.7 * mist))
-    dark = 1.2 * cloud + 0.8 * jnp.tanh(4 * wide) + 0.9 * mist + 0.3 * wool + 0.2 * streak
+    dark = 1.2 * cloud + 0.8 * jnp.tanh(4 * wide) + 0.9 * mist + 0.5 * wool + 0.2 * streak
+    dark += 0.7 * (jnp.mean(stroma) - stroma) - 0.6 * (tuft + sector)
     dark += 1.6 * edge + 2.0 * rim + 1.5 * (opening + slit)
     dark -= contrast * (0.5 * (cords - 0.18) + 0.2 * mesh)
     dark += amounts["collarette"] * (0.6 * pupillary - 0.8 * crests)
@@ -241,6 +247,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     zone = smoothstep((reach - ragged_radius) / 0.5 + 0.5)
     cloudy = jnp.maximum(1 + 0.8 * mist + 0.4 * cloud, 0.0)
     pheomelanin = jnp.log1p(amounts["amber"] * zone * cloudy)
+    pheomelanin += 0.5 * amounts["patches"] * (jnp.mean(stroma) - stroma)
     fibrous = amounts["fibres"] > 0
     stroma_range = [jnp.where(fibrous, *both) for both in zip(STROMA, SMOOTH_STROMA, strict=True)]
     folds = FURROW_HEIGHT * jnp.minimum(compression, 2.0) * crest
@@ -308,13 +315,13 @@ def _limit_range(logs, distance, mean, limits) -> NoiseField:
 
 
 def _fibres(
-    seed: Seed, turns, radius, freedom, capacity, most: int
-) -> tuple[NoiseField, NoiseField, NoiseField, NoiseField]:
+    seed: Seed, turns, radius, freedom, capacity, ragged, most: int
+) -> tuple[NoiseField, ...]:
     """Grow the fibres of both leaves of the stroma.
 
     Returns:
-        Heights of the cords of the upper leaf, from 0; of the finer meshwork below, about 0; noise
-        for streaks along both; and noise for slits.
+        Heights of the cords of the upper leaf, from 0; of the finer meshwork below, about 0; and
+        noise along both for streaks, slits, sectors and tufts.
     """
     upper_seed, lower_seed, noise_seed = split_seed(seed, 3)
     # Single precision suffices for fibres, and takes two thirds of the time.
@@ -325,8 +332,9 @@ def _fibres(
         return _strands(seed, x, y, free, room, few).astype(turns.dtype)
 
     upper, lower = leaf(upper_seed, UPPER_FIBRES), leaf(lower_seed, LOWER_FIBRES)
-    streak, gap = noise_fields(noise_seed, turns, radius, ((min(190, most), 4, 1), (90, 1, 1)))
-    return upper, lower - jnp.mean(lower), streak, gap
+    kinds = (min(190, most), 4, 1), (90, 1, 1), (22, 1, 2), (53, 2, 2)
+    streaks = noise_fields(noise_seed, turns, ragged, kinds)
+    return upper, lower - jnp.mean(lower), *streaks
 
 
 def _strands(seed: Seed, turns, radius, freedom, capacity, kinds) -> NoiseField:
@@ -360,7 +368,7 @@ def _strands(seed: Seed, turns, radius, freedom, capacity, kinds) -> NoiseField:
             wander += 0.6 * jnp.sin((17 - 4 * wave) * radius + jnp.pi * quick)
             away = x - strand - 0.5 - 0.5 * shift - 0.4 * sway * freedom * wander
             away /= breadth * (0.35 + 0.65 * size)
-            along = jnp.abs(radius - 0.5 - 0.5 * middle) / (0.35 + 0.3 * length)
+            along = jnp.abs(radius - 0.5 - 0.5 * middle) / (0.2 + 0.3 * length)
             own = tallest * (0.3 + 0.7 * size) * smoothstep(2.5 - 2.5 * along)
             shaded = top * (1 - 0.6 * own * jnp.exp(-0.2 * away * away))
             return jnp.maximum(shaded, own * jnp.exp(-away * away)), None
@@ -447,7 +455,7 @@ def _collarette_offset(seed: Seed, turns) -> NoiseField:
     """Draw the collarette's deviation from its mean radius, (angles, 1): teeth on slow noise."""
     slow, teeth, *_ = split_seed(seed, 5)
     tooth = jnp.abs(_angular_noise(teeth, turns, 31, 2))
-    return 0.05 * _angular_noise(slow, turns, 4, 3) + 0.14 * (tooth - 0.3)
+    return 0.06 * _angular_noise(slow, turns, 4, 3) + 0.08 * (tooth - 0.3)
 
 
 def _collarette(seed: Seed, turns, radius, ring) -> tuple[NoiseField, NoiseField]:
@@ -462,7 +470,7 @@ def _collarette(seed: Seed, turns, radius, ring) -> tuple[NoiseField, NoiseField
         return jnp.exp(-((offset / jnp.where(offset < 0, 0.05, width)) ** 2))
 
     crests = jnp.maximum(cord(one, 0.05, 0.12), 0.8 * cord(two, 0.08, 0.05))
-    return height * crests, smoothstep((ring - radius) / 0.08)
+    return height * crests, smoothstep((ring - radius) / 0.25 + 0.3)
 
 
 def _pupillary_ruff(seed: Seed, turns, radius) -> NoiseField:
@@ -492,7 +500,7 @@ def _freckles(seed: Seed, turns, distance, eye: Eye, ragged, count: Count) -> No
         middle = eye.from_axis(0.15 + 0.75 * b)
         across = 2 * jnp.pi * ((turns - a + 0.5) % 1.0 - 0.5) * middle
         away = jnp.sqrt(across**2 + (distance - middle) ** 2) / (0.08 * 3.0 ** (c**2))
-        shape = smoothstep(1.4 - 0.9 * away + 0.8 * ragged) ** 2
-        return jnp.maximum(cover, (0.3 + 0.7 * d) * shape)
+        shape = smoothstep(1.1 - 0.6 * away + 0.9 * ragged) ** 2
+        return jnp.maximum(cover, (0.2 + 0.6 * d) * shape)
 
     return jax.lax.fori_loop(0, count, spot, jnp.zeros_like(distance))
