@@ -35,13 +35,13 @@ _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red an iris.
 _THICKNESS = {"hazel": 0.35, "amber": 0.55, "brown": 0.35}
 _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.0242, 0.00748, 0.0926, 0.212, 7.41), (0.11, 0.00712, 0.0233, 0.146, 14.3)),
-    "grey": ((0.1, 0.0306, 0.509, 0.153, 9.85), (0.039, 0.0325, 0.512, 0.123, 17.4)),
-    "green": ((0.00707, 0.525, 0.98, 0.0134, 15.8), (0.0248, 0.727, 0.98, 0.0279, 26.5)),
-    "hazel": ((0.505, 0.612, 0.666, 0.253, 30.7), (0.204, 1.07, 0.628, 0.129, 34)),
-    "amber": ((0.0668, 0.812, 0.52, 0.145, 35.8), (0.0472, 0.895, 0.551, 0.0592, 33.2)),
-    "brown": ((0.374, 1.09, 0.788, 0.304, 38.2), (0.34, 0.918, 0.722, 0.208, 35.6)),
-    "dark-brown": ((1.21, 0.201, 0.455, 0.265, 30.3), (0.392, 0.674, 0.658, 0.183, 31)),
+    "blue": ((0.0298, 0.00629, 0.0705, 0.213, 7.31), (0.0312, 0.0186, 0.102, 0.15, 13.9)),
+    "grey": ((0.077, 0.0334, 0.513, 0.157, 9.53), (0.0585, 0.0638, 0.589, 0.115, 17.4)),
+    "green": ((0.00744, 0.523, 0.98, 0.0141, 15.8), (0.0252, 0.728, 0.977, 0.0284, 26.2)),
+    "hazel": ((0.502, 0.62, 0.665, 0.251, 29.6), (0.296, 0.744, 0.554, 0.171, 31.5)),
+    "amber": ((0.0719, 0.856, 0.504, 0.137, 35.7), (0.0542, 0.901, 0.544, 0.0591, 33)),
+    "brown": ((0.39, 1.04, 0.809, 0.304, 38.2), (0.435, 0.87, 0.717, 0.202, 37)),
+    "dark-brown": ((1.23, 0.192, 0.454, 0.263, 30), (0.638, 0.389, 0.54, 0.202, 33)),
 }
 # Thicker stroma is darker in brown irides, so that their fibres show less.
 _BROWN = {"abl": 0.5, "fibres": 0.6, "clouds": 0.5, "collarette": 0.5}
@@ -75,7 +75,7 @@ def preset(
     and with the preset's maps, in the colour of photographed irides within one standard deviation
     (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Of all such
     values it chooses the pigments nearest to usual ones and the weakest scattering: 7 to 38 times
-    LB06's by ILIT and 14 to 35 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
+    LB06's by ILIT and 14 to 37 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
     other soft tissues have. Hazel, brown and amber also need a stroma of 0.35, 0.35 and 0.55 mm.
     Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
     Exp. Eye Res. 67, 293]. The redness of photographed irides requires more blood than LB06's 0.084
@@ -107,7 +107,7 @@ def preset(
     fields |= {"saturation": _SATURATION, "stroma_thickness": thickness}
     iris = Iris().replace(**fields).replace(**dict(pigments or {}))
     # A share of the thickness, so that the relief is as high in a thicker stroma.
-    arguments: dict[str, Any] = {"relief": 0.14 * usual / thickness, "margins": 0.6}
+    arguments: dict[str, Any] = {"relief": 0.11 * usual / thickness, "margins": 0.6}
     arguments |= _FEATURES.get(colour, {}) | dict(features or {})
     # Presets of one key have patterns of their own.
     key = jax.random.fold_in(key, list(_PIGMENTS).index(colour))
