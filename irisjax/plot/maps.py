@@ -38,7 +38,7 @@ def maps_figure(
         how: dict[str, Any] = {"norm": LogNorm(low, high)} if wide else {"vmin": low, "vmax": high}
         sides = (-0.5, columns - 0.5, rows - 0.5, -0.5)
         drawn = ax.imshow(values, extent=sides, interpolation="nearest", **how)
-        title = name.replace("_", " ").replace("abl ", "ABL ")
+        title = name.replace("_", " ").replace("abl ", "ABL ").replace("hemo", "haemo")
         ax.set(title=title, xlabel="column", ylabel="row")
         label = unit.replace("ug/mm2", "µg/mm²")
         figure.colorbar(drawn, ax=ax, label=label, extend="both", shrink=0.9)
