@@ -285,6 +285,13 @@ class Eye(eqx.Module):
         return jnp.stack([rise * x, rise * y, -jnp.ones_like(x) / length], axis=-1)
 
 
+def cornea_of(eye: Eye) -> Cornea:
+    """Return the cornea of an eye; raise `ValueError` if it has none."""
+    if eye.cornea is None:
+        raise ValueError("this eye has no cornea (Eye.cornea is None)")
+    return eye.cornea
+
+
 @eqx.filter_jit
 def rings_between(
     point: tuple[Numbers, Numbers], centre: Any, inner: Numbers, outer: Numbers

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array
 from scipy import optimize
 
-from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.eye import Eye, cornea_of
 from irisjax.anatomy.sclera import sphere
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_known, check_range, check_whole
@@ -265,11 +265,10 @@ def _steps(length: float, spacing: float) -> int:
 @eqx.filter_jit
 def _front(eye: Eye, x: Any, y: Any) -> tuple[Array, Array]:
     """Points of cornea and white ahead of places (x, y), mm, and their normals."""
-    assert eye.cornea is not None
     r = jnp.hypot(x, y)
     inside = r <= eye.limbus_radius
     found = []
-    for surface, radius in ((eye.cornea.anterior, jnp.where(inside, r, 0.0)), (sphere(eye), r)):
+    for surface, radius in ((cornea_of(eye).anterior, jnp.where(inside, r, 0.0)), (sphere(eye), r)):
         points = jnp.stack([x, y, surface.apex + surface.sagitta(radius)], axis=-1)
         found.append((points, surface.normal(points)))
     (cap, tilt), (globe, out) = found

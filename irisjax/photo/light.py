@@ -7,7 +7,7 @@ from jaxtyping import Float
 from scipy import ndimage, spatial
 from skimage import measure
 
-from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.eye import Eye, cornea_of
 from irisjax.photo.photograph import Colours, Ellipse, Mask
 from irisjax.photo.pose import Pose
 from irisjax.photo.texture import Unrefracted, sampled
@@ -103,7 +103,6 @@ def find_lighting(
     film, shape = view.mirror, pose.camera.shape
     if film is None:
         return Lighting(None, Environment.uniform(), found=0)
-    assert pose.eye.cornea is not None
     directions = scatter_to_picture(film, np.stack([np.asarray(c) for c in film.mirror], -1), shape)
     brightness, middle = part.max(-1), limbus.radii(shape) < _CORNEA_RADIUS
     median = np.median(brightness[middle])
@@ -116,7 +115,7 @@ def find_lighting(
     spots = [s for s in spots if s.area >= _LEAST_AREA and s.intensity_max > 0]
     # The image of a lamp appears at a distance of half the cornea's radius.
     scale = 2 * float(pose.camera.width) / pose.camera.size[0]
-    scale /= float(pose.eye.cornea.anterior.radius)
+    scale /= float(cornea_of(pose.eye).anterior.radius)
     # The pupil is black: what shines there is mirrored.
     image = glow | reflected | (brightness > median) & (pupil.radii(shape) < _PUPIL_CORE)
     # The white beyond mirrors the same directions again; what is behind the eye does not light it.

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
-from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.eye import Eye, cornea_of
 from irisjax.numerics.interpolation import bilinear, multilinear
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Vector, dot, from_parts, norm, parts
@@ -195,8 +195,7 @@ def near_lamp_entry(
         Entry points (…, 3), mm, and factors on the flux in the tables, which hold for a parallel
         beam; on the axis the factor is 0.89 for a lamp at 50 mm.
     """
-    cornea = eye.cornea
-    assert cornea is not None
+    cornea = cornea_of(eye)
     grid = jnp.linspace(-1, 1, size) * eye.iris_radius
     targets = jnp.stack(jnp.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
 
@@ -236,8 +235,7 @@ def trace_flux(
         extent: Half the side of the grid, mm; its rows are y, its columns x.
         n_rays: Number of rays over the whole cornea.
     """
-    cornea = eye.cornea
-    assert cornea is not None
+    cornea = cornea_of(eye)
     towards = refraction.direction_of(polar)
     chunks = -(-n_rays // (2 * _CHUNK))
     area = jnp.pi / 2 * (eye.limbus_radius + 0.15) ** 2 / (chunks * _CHUNK)

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.eye import Eye, cornea_of
 from irisjax.optics.conicoid import Vector, dot, norm
 from irisjax.render.camera import Camera
 from irisjax.render.refraction import cornea_point, newton_step, refract_to_iris, search_radius
@@ -59,8 +59,7 @@ def _view_directions(camera: Camera, eye: Eye, point: Vector, share=1.0) -> Vect
 
 def _through_cornea(eye: Eye, camera: Camera, target: Float[Array, "3"]):
     """Find the point of the cornea at which a point of the iris appears, and whether it does."""
-    cornea = eye.cornea
-    assert cornea is not None
+    cornea = cornea_of(eye)
     reach = search_radius(cornea)
 
     def landing(entry, share):

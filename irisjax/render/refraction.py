@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.anatomy.eye import Cornea, Eye, cornea_of
 from irisjax.numerics.interpolation import multilinear, smoothstep
 from irisjax.numerics.roots import solve_2x2
 from irisjax.optics.conicoid import Vector, advance, dot, from_parts, norm, parts, refract_vector
@@ -66,8 +66,7 @@ def refract_into_chamber(
     """Refract rays at the cornea: the points where they enter the chamber from points on the
     anterior cornea, their directions there, and the share of their power that is transmitted.
     """
-    cornea = eye.cornea
-    assert cornea is not None
+    cornea = cornea_of(eye)
     outer, back, aqueous = cornea.anterior.normal(entry), cornea.posterior, eye.aqueous_index
     if back is None:
         return entry, *refract_vector(direction, outer, 1.0, aqueous)
@@ -109,8 +108,7 @@ def find_arrival(
     Fermat's principle and Snell's law have the same solution; the latter works for any number of
     surfaces.
     """
-    cornea = eye.cornea
-    assert cornea is not None
+    cornea = cornea_of(eye)
     reach = search_radius(cornea)
 
     def land(entry):
@@ -156,8 +154,7 @@ def arriving_flux(eye: Eye, entry: Float[Array, "2"], towards_light: Vector) -> 
     """Compute the flux vector (3,) on the iris of unit light that enters at `entry`: the share that
     is transmitted, times the light's concentration.
     """
-    cornea = eye.cornea
-    assert cornea is not None
+    cornea = cornea_of(eye)
 
     def land(entry):
         return refract_to_iris(eye, cornea_point(cornea, entry), -towards_light)

@@ -9,7 +9,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.eye import Eye, cornea_of
 from irisjax.anatomy.sclera import meet_sclera, sphere, vein_place
 from irisjax.numerics.angle import arctan2
 from irisjax.optics.conicoid import Vector, advance, dot, from_axis
@@ -86,8 +86,7 @@ class CorneaSurface(AbstractSurface):
 
     @property
     def _front(self):
-        assert self.eye.cornea is not None
-        return self.eye.cornea.anterior
+        return cornea_of(self.eye).anterior
 
 
 class GlobeSurface(AbstractSurface):
