@@ -12,13 +12,15 @@ from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any, NamedTuple, cast
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 from scipy import optimize
 
-from irisjax._types import PRNGKey
+from irisjax._types import PRNGKey, Scalar
 from irisjax.anatomy.eye import EYE_LIMITS, Cornea, Eye, Sclera
+from irisjax.anatomy.sclera import sclera_of
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_known
 from irisjax.photo import pigments, texels
@@ -67,6 +69,7 @@ from irisjax.render.outside import bulk_reflectance
 from irisjax.render.picture import LitView, illuminate, respond, shade, surroundings, texture
 from irisjax.render.project import View, project_visible, scatter_to_picture
 from irisjax.render.radiative import RadiativeIntegrator
+from irisjax.render.refraction import direction_of
 from irisjax.render.scene import ENVIRONMENT_LIGHTS, Scene
 from irisjax.render.separable import Separable
 from irisjax.render.single_scattering import SingleScattering, TabulatedSingleScattering
@@ -679,16 +682,18 @@ def tint_of_white(
     drawn = np.asarray(surroundings(view, texture(view, scene), scene)).T.reshape(radiance.shape)
     seen, drawn = (np.median(picture[white], axis=0) for picture in (radiance, drawn))
     # The colour is linear in the tint, whose three parts overlap in the channels of a picture.
-    sclera, bands = scene.eye.sclera, colour_bands(scene.illuminant, all_wavelengths=True)
-    assert sclera is not None
-    parts = [
-        bands.weights @ bulk_reflectance(dataclasses.replace(sclera, tint=one), BAND_GRID)
-        for one in np.eye(3)
-    ]
-    of_tint = np.transpose([np.asarray(part) for part in parts])
+    of_tint = np.asarray(_colours_of_tints(sclera_of(scene.eye), scene.illuminant))
     wanted = seen / np.maximum(drawn, _LEAST_DRAWN) * of_tint.sum(1)
     limits = EYE_LIMITS["tint"]
     return np.clip(np.linalg.solve(of_tint, wanted), limits.low, limits.high)
+
+
+@eqx.filter_jit
+def _colours_of_tints(sclera: Sclera, illuminant: str) -> Float[Array, "channels 3"]:
+    """Return the colour that a white has by each part of its tint alone."""
+    weights = colour_bands(illuminant, all_wavelengths=True).weights
+    tinted = [dataclasses.replace(sclera, tint=one) for one in np.eye(3)]
+    return jnp.stack([weights @ bulk_reflectance(one, BAND_GRID) for one in tinted], axis=-1)
 
 
 def sample_clone(fitted: Coloured, *, key: PRNGKey) -> Sampled:
@@ -780,10 +785,16 @@ def _white_seen(lit: Lit) -> WhiteSeen:
     white, lights = lit.white, lit.lighting.lights()
     if white is None or white.is_burnt or white.sides.min() <= 0 or lit.photograph.grey:
         return NO_WHITE
-    facing_camera = lights.irradiance_on(lit.pose.camera.axes()[0]) / np.pi
-    light = np.broadcast_to(np.asarray(facing_camera, np.float64), 3)
+    camera = lit.pose.camera
+    facing_camera = _irradiance_from(lights, camera.polar, camera.azimuth)
+    light = np.broadcast_to(np.asarray(facing_camera, np.float64) / np.pi, 3)
     reflectance, root = white.median_and_root()
     return WhiteSeen(white.sides.mean(0), reflectance, light, root)
+
+
+@eqx.filter_jit
+def _irradiance_from(lights: Lights, polar: Scalar, azimuth: Scalar) -> Array:
+    return lights.irradiance_on(direction_of(polar, azimuth))
 
 
 def _with_white_as_seen(fitted: Fitted) -> Fitted:

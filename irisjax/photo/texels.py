@@ -226,8 +226,8 @@ def solve_coarse(
     _, exits = integrator.texels(seen, front, Scales())
     illumination = integrator.illuminate(seen, scene.all_lights(), front, tables, None)
     light, mixtures = illumination
-    light = light if exits is None else light * exits
-    by_pixel = np.moveaxis(np.asarray(light), -1, 0).reshape(light.shape[-1], -1)
+    light = np.asarray(light) if exits is None else np.asarray(light) * np.asarray(exits)
+    by_pixel = np.moveaxis(light, -1, 0).reshape(light.shape[-1], -1)
 
     # Ranges of the number types that those of the maps will have, so that one program serves both.
     small = jnp.ones((2, 2), jnp.float32)

@@ -178,13 +178,14 @@ class Windows(eqx.Module):
 
     def _from_the_front(self, iris: Iris, ranges: Scales, scales: Scales) -> np.ndarray:
         """Luminance of uniform irides."""
-        response: Any = solve_response(
-            self.integrator, iris, self.aqueous_index, self.bands, ranges
-        )
-        ones = jnp.ones_like(scales.stroma)
-        return np.asarray(
-            LUMINANCE_WEIGHTS @ np.asarray(response.brdf(scales, ones, ones, 0 * ones))
-        )
+        arguments = self.integrator, iris, self.aqueous_index, self.bands, ranges
+        return LUMINANCE_WEIGHTS @ np.asarray(_frontal_brdf(solve_response(*arguments), scales))
+
+
+@eqx.filter_jit
+def _frontal_brdf(response: Any, scales: Scales) -> Float[Array, "channels texels"]:
+    ones = jnp.ones_like(scales.stroma)
+    return response.brdf(scales, ones, ones, 0 * ones)
 
 
 def make_windows(

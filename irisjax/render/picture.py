@@ -242,16 +242,22 @@ def shade(
     if view.iris is not None:
         radiance = response.shade(view.iris, texels.iris, light.iris)
         if texels.residual is not None:
-            radiance = within_gamut(radiance) * texels.residual
+            radiance = _with_residual(radiance, texels.residual)
         iris = [(view.iris.index, radiance)]
     return _add_parts(light.surroundings, iris, view.size)
 
 
+@eqx.filter_jit
 def within_gamut(radiance: Float[Array, "channels pixels"]) -> Float[Array, "channels pixels"]:
     """Raise each channel to at least 1 % of the brightest one: a saturated colour may lie outside
     sRGB's gamut, and a factor cannot raise a negative channel.
     """
     return jnp.maximum(radiance, _LEAST_SHARE * radiance.max(0))
+
+
+@eqx.filter_jit
+def _with_residual(radiance: Array, residual: Array) -> Float[Array, "channels pixels"]:
+    return within_gamut(radiance) * residual
 
 
 def draw_bands(
