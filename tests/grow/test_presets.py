@@ -40,6 +40,16 @@ def test_presets_of_one_key_have_patterns_of_their_own():
     assert abs(np.corrcoef(own) - np.eye(len(own))).max() < 0.2
 
 
+@pytest.mark.parametrize("colour", PRESETS)
+def test_pigment_is_denser_where_the_stroma_is_thin(colour):
+    """A gap in a brown iris is dark brown: with as much pigment as elsewhere it would be blue."""
+    _, maps = PRESETS[colour](shape=SHAPE, key=jax.random.key(0))
+    thickness, pigment = (
+        np.log(m) - np.log(m).mean(0) for m in (maps.stroma_depth, maps.eumelanin)
+    )
+    assert np.corrcoef(thickness.ravel(), pigment.ravel())[0, 1] < -0.4
+
+
 SIDE, WIDTH = 128, 13.0  # of the picture, pixels and mm
 
 
