@@ -292,6 +292,13 @@ def cornea_of(eye: Eye) -> Cornea:
     return eye.cornea
 
 
+def sclera_of(eye: Eye) -> Sclera:
+    """Return the sclera of an eye; raise `ValueError` if it has none."""
+    if eye.sclera is None:
+        raise ValueError("this eye has no sclera (Eye.sclera is None)")
+    return eye.sclera
+
+
 @eqx.filter_jit
 def rings_between(
     point: tuple[Numbers, Numbers], centre: Any, inner: Numbers, outer: Numbers

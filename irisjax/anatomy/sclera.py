@@ -5,7 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from irisjax._types import Scalar
-from irisjax.anatomy.eye import Eye, Sclera
+from irisjax.anatomy.eye import Eye, sclera_of
 from irisjax.numerics.angle import arctan2
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Conicoid, Vector, parts
@@ -75,10 +75,3 @@ def vein_place(eye: Eye, point: Vector) -> tuple[Float[Array, "*s"], Float[Array
     polar = arctan2(safe_sqrt(x * x + y * y), sclera_centre(eye) - z)
     limbus = limbus_angle(eye)
     return azimuth, (polar - limbus) / (jnp.pi / 2 - limbus)
-
-
-def sclera_of(eye: Eye) -> Sclera:
-    """Return the sclera of an eye; raise `ValueError` if it has none."""
-    if eye.sclera is None:
-        raise ValueError("this eye has no sclera (Eye.sclera is None)")
-    return eye.sclera

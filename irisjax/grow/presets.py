@@ -44,7 +44,7 @@ _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_
     "dark-brown": ((1.23, 0.192, 0.454, 0.263, 30), (0.638, 0.389, 0.54, 0.202, 33)),
 }
 # Thicker stroma is darker in brown irides, so that their fibres show less.
-_BROWN = {"abl": 0.5, "fibres": 0.6, "clouds": 0.5, "collarette": 0.5}
+_BROWN = {"fibres": 0.6, "clouds": 0.5, "collarette": 0.5}
 _FEATURES: dict[str, dict[str, Any]] = {
     "blue": {"crypts": 9, "patches": 0.7, "furrows": 2, "looseness": 0.3, "clouds": 0.8},
     "grey": {"crypts": 13, "patches": 0.8, "looseness": 0.8, "clouds": 0.7},
@@ -52,8 +52,8 @@ _FEATURES: dict[str, dict[str, Any]] = {
     "hazel": {"crypts": 10, "patches": 0.8, "heterochromia": 2.5, "abl": 0.4, "freckles": 4},
     "amber": {"crypts": 8, "patches": 1.2, "amber": 1.0, "heterochromia": 0.5, "abl": 0.3}
     | {"fibres": 0.8, "clouds": 0.6},
-    "brown": {"crypts": 7, "patches": 1.2, "amber": 0.3, "furrows": 6} | _BROWN | {"abl": 0.0},
-    "dark-brown": {"crypts": 5, "patches": 0.4, "furrows": 7} | _BROWN,
+    "brown": {"crypts": 7, "patches": 1.2, "amber": 0.3, "furrows": 6} | _BROWN,
+    "dark-brown": {"crypts": 5, "patches": 0.4, "abl": 0.5, "furrows": 7} | _BROWN,
 }
 
 

@@ -238,7 +238,8 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     zone = smoothstep((reach - ragged_radius) / 0.5 + 0.5)
     eumelanin = jnp.log1p(amounts["heterochromia"] * zone * (1 + 0.7 * mist))
     dark = 1.2 * cloud + 0.8 * jnp.tanh(4 * wide) + 0.9 * mist + 0.5 * wool + 0.2 * streak
-    dark += 0.7 * (jnp.mean(stroma) - stroma) - 0.6 * (tuft + sector)
+    thinness = jnp.mean(stroma) - stroma
+    dark += 0.7 * thinness - 0.6 * (tuft + sector)
     dark += 1.6 * edge + 2.0 * rim + 1.5 * (opening + slit)
     dark -= contrast * (0.5 * (cords - 0.18) + 0.2 * mesh)
     dark += amounts["collarette"] * (0.6 * pupillary - 0.8 * crests)
@@ -247,7 +248,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     zone = smoothstep((reach - ragged_radius) / 0.5 + 0.5)
     cloudy = jnp.maximum(1 + 0.8 * mist + 0.4 * cloud, 0.0)
     pheomelanin = jnp.log1p(amounts["amber"] * zone * cloudy)
-    pheomelanin += 0.5 * amounts["patches"] * (jnp.mean(stroma) - stroma)
+    pheomelanin += 0.5 * amounts["patches"] * thinness
     fibrous = amounts["fibres"] > 0
     stroma_range = [jnp.where(fibrous, *both) for both in zip(STROMA, SMOOTH_STROMA, strict=True)]
     folds = FURROW_HEIGHT * jnp.minimum(compression, 2.0) * crest

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from irisjax._types import PRNGKey
-from irisjax.anatomy.eye import Eye
-from irisjax.anatomy.sclera import VeinMap, limbus_angle, sclera_of
+from irisjax.anatomy.eye import Eye, sclera_of
+from irisjax.anatomy.sclera import VeinMap, limbus_angle
 from irisjax.numerics.streams import words_of
 
 VEINS = {"clear": 0.15, "usual": 0.35, "bloodshot": 1.5}

@@ -19,8 +19,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from scipy import optimize
 
 from irisjax._types import PRNGKey, Scalar
-from irisjax.anatomy.eye import EYE_LIMITS, Cornea, Eye, Sclera
-from irisjax.anatomy.sclera import sclera_of
+from irisjax.anatomy.eye import EYE_LIMITS, Cornea, Eye, Sclera, sclera_of
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_known
 from irisjax.photo import pigments, texels
@@ -793,7 +792,8 @@ def _white_seen(lit: Lit) -> WhiteSeen:
 
 
 @eqx.filter_jit
-def _irradiance_from(lights: Lights, polar: Scalar, azimuth: Scalar) -> Array:
+def _irradiance_from(lights: Lights, polar: Scalar, azimuth: Scalar) -> Float[Array, " tints"]:
+    """Compute the irradiance of a surface at the eye that faces a direction, for each tint."""
     return lights.irradiance_on(direction_of(polar, azimuth))
 
 

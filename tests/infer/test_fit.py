@@ -199,7 +199,7 @@ def test_misfit_is_no_failed_search(problem, measured):
     assert float(found.p_value) < 1e-6
     with pytest.raises(ValueError, match="does not produce these data"):
         fit(stepped, key=KEY, throw=True)
-    # In a compiled program `throw` raises the same error through this function.
+    # `throw` raises the same error through this function in a compiled program.
     with pytest.raises(RuntimeError, match="does not produce these data"):
         eqx.filter_jit(raise_failure)(found.z, found.status)
 
