@@ -6,11 +6,12 @@ contrast. These are free beside the four concentrations, which they make less ce
 Other errors of the model are integrated out of the likelihood. An iris is not as thick as the
 average one and its relief shades otherwise. Both differ from iris to iris, from ring to ring of
 one, and from window to window of a ring: normal errors of three levels, as in an analysis of
-variance with random effects. In the logarithms of the channels, an error of the thickness of the
-whole or of a ring is proportional to the model's own response to it, and one of light is equal in
-all channels. The scatter of the windows of a ring and the spread of the rings are estimated from
-the photograph itself: irides contain more than pigments and thickness, may have another colour
-around the pupil, and light may fall off as that of no lamp of the model does.
+variance with random effects, those of windows correlated along rays (`ALONG_RAYS`). In the
+logarithms of the channels, an error of the thickness of the whole or of a ring is proportional to
+the model's own response to it, and one of light is equal in all channels. The scatter of the
+windows of a ring and the spread of the rings are estimated from the photograph itself: irides
+contain more than pigments and thickness, may have another colour around the pupil, and light may
+fall off as that of no lamp of the model does.
 """
 
 import math
@@ -118,6 +119,11 @@ _GREEN = np.array([0.55, 0.33, 0.15])  # response of a green iris to thickness
 PRIOR_COVARIANCE = 0.04**2 + 0.06**2 * np.outer(_GREEN, _GREEN) + 0.007**2 * np.eye(3)
 """Prior covariance of a window's channels about its ring: light, thickness, each by itself."""
 PRIOR_WINDOWS = 5.0  # number of windows that the prior counts for
+ALONG_RAYS = 0.6
+"""Correlation of the errors of a window and of the next one outwards: fibres and the gaps between
+them run radially through several rings. It is 0.5 in six photographs of people and 0.65 in irides
+of `procedural`. Taken for independent, they made an uneven iris look like a certain light.
+"""
 
 
 class PigmentFit(NamedTuple):
@@ -616,12 +622,17 @@ def _inverse(a):
 
 
 def _in_rings(values, present):
-    """Number of windows of each ring, their mean values, and the differences from it."""
+    """Number of windows of each ring, their mean values, and the differences from it: of these,
+    what the next window inwards does not tell, scaled to the same variance.
+    """
     counted = jnp.asarray(present).reshape(RINGS, ANGLES, 1)
     by_ring = values.reshape(RINGS, ANGLES, 3)
     number = counted.sum(1)[:, 0]
     means = jnp.where(counted, by_ring, 0).sum(1) / jnp.maximum(number, 1)[:, None]
-    return number, means, jnp.where(counted, by_ring - means[:, None], 0)
+    differences = jnp.where(counted, by_ring - means[:, None], 0)
+    own = (differences[1:] - ALONG_RAYS * differences[:-1]) / math.sqrt(1 - ALONG_RAYS**2)
+    own = jnp.where(counted[1:] & counted[:-1], own, differences[1:])
+    return number, means, jnp.concatenate([differences[:1], own])
 
 
 @eqx.filter_jit

@@ -4,9 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy import special, stats
+from scipy import linalg, special, stats
 
 from irisjax.photo.pigments import (
+    ALONG_RAYS,
     PRIOR_COVARIANCE,
     PRIOR_WINDOWS,
     RING,
@@ -37,6 +38,21 @@ def _rings(off):
     return [ring[there] for ring, there in by_ring if there.any()]
 
 
+def _apart(off):
+    """For each ring with windows, differences from its mean, decorrelated along rays: by the root
+    of the covariance of the windows of each angle, which reach from the pupil without a gap.
+    """
+    present, by_ring = PRESENT.reshape(RINGS, ANGLES), off.reshape(RINGS, ANGLES, 3)
+    away = np.zeros_like(by_ring)
+    for ring in np.flatnonzero(present.any(1)):
+        there = present[ring]
+        away[ring, there] = by_ring[ring, there] - by_ring[ring, there].mean(0)
+    for angle, count in enumerate(present.sum(0)):
+        root = np.linalg.cholesky(linalg.toeplitz(ALONG_RAYS ** np.arange(count)))
+        away[:count, angle] = np.linalg.solve(root, away[:count, angle])
+    return [ring[there] for ring, there in zip(away, present, strict=True) if there.any()]
+
+
 def _between(off, within, wider):
     """Covariance of the means of rings with windows, block by block."""
     rings, along = _rings(off), RESPONSE.reshape(RINGS, ANGLES, 3)[:, 0]
@@ -63,11 +79,10 @@ def _drawn(off, inverse):
     were drawn, given as their inverses.
     """
     total, log_determinant = 0.0, np.linalg.slogdet(inverse)[1]
-    for ring in _rings(off):
-        apart = ring - ring.mean(0)
+    for apart in _apart(off):
         squares = np.einsum("ij,nij->n", apart.T @ apart, inverse)
         # The mean takes one window's worth of freedom.
-        log_density = 0.5 * ((len(ring) - 1) * log_determinant - squares)
+        log_density = 0.5 * ((len(apart) - 1) * log_determinant - squares)
         total += float(np.logaddexp.reduce(log_density) - np.log(len(inverse)))
     return total
 
@@ -89,8 +104,7 @@ def test_whitened_errors_have_the_density_of_their_covariances():
     off = _errors(1)
     held = covariances_of(jnp.asarray(off), jnp.asarray(RESPONSE), jnp.asarray(PRESENT))
     within, direct = np.asarray(held[0]), 0.0
-    for covariance, ring in zip(within, _rings(off), strict=False):
-        apart = ring - ring.mean(0)
+    for covariance, apart in zip(within, _apart(off), strict=False):
         direct += np.einsum("ni,ij,nj->", apart, np.linalg.inv(covariance), apart)
     means = np.concatenate([ring.mean(0) for ring in _rings(off)])
     shares = special.softmax(_means(off, within))
