@@ -11,6 +11,7 @@ from irisjax.photo.pigments import (
     PRIOR_COVARIANCE,
     PRIOR_WINDOWS,
     RING,
+    AROUND,
     SPREAD_FACTORS,
     WHOLE,
     covariances,
@@ -39,8 +40,9 @@ def _rings(off):
 
 
 def _apart(off):
-    """For each ring with windows, differences from its mean, decorrelated along rays: by the root
-    of the covariance of the windows of each angle, which reach from the pupil without a gap.
+    """For each ring with windows, differences from its mean, decorrelated along rays, by the root
+    of the covariance of the windows of each angle, which reach from the pupil without a gap, and
+    then round the iris, by that of a chain.
     """
     present, by_ring = PRESENT.reshape(RINGS, ANGLES), off.reshape(RINGS, ANGLES, 3)
     away = np.zeros_like(by_ring)
@@ -50,6 +52,15 @@ def _apart(off):
     for angle, count in enumerate(present.sum(0)):
         root = np.linalg.cholesky(linalg.toeplitz(ALONG_RAYS ** np.arange(count)))
         away[:count, angle] = np.linalg.solve(root, away[:count, angle])
+    for ring, there in enumerate(present):
+        count = there.sum()
+        if there.all():  # a chain without an end: its filter is circulant
+            first = np.zeros(ANGLES)
+            first[:2] = 1, -AROUND
+            away[ring] = linalg.circulant(first) @ away[ring] / np.sqrt(1 - AROUND**2)
+        elif count:
+            root = np.linalg.cholesky(linalg.toeplitz(AROUND ** np.arange(count)))
+            away[ring, there] = np.linalg.solve(root, away[ring, there])
     return [ring[there] for ring, there in zip(away, present, strict=True) if there.any()]
 
 
@@ -61,7 +72,8 @@ def _between(off, within, wider):
     for k, ring in enumerate(rings):
         own = RING.thickness**2 * np.outer(seen[k], seen[k]) + RING.light**2
         own += RING.channel**2 * np.eye(3)
-        blocks[k][k] += wider**2 * own + within[k] / len(ring)
+        of_mean = within[k] * (1 + AROUND) / (1 - AROUND) / len(ring)
+        blocks[k][k] += wider**2 * own + of_mean
     return np.block(blocks)
 
 
