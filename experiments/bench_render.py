@@ -22,6 +22,7 @@ from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.picture import (
     Texels,
+    draw_on_cores,
     illuminate,
     iris_texels,
     prepare_scene,
@@ -116,10 +117,7 @@ def frames(key, size, repeats):
 
             def moved(i):
                 turned = dataclasses.replace(scene.camera, polar=0.01 * i)
-                changed = scene.replace(camera=turned)
-                seen = project_visible(changed.eye, turned)
-                there = texture(seen, changed)
-                return shade(seen, there, illuminate(seen, there, changed, tables), response)
+                return draw_on_cores(scene.replace(camera=turned), tables, response)
 
             yield row(change, name, moved)
         else:

@@ -7,7 +7,8 @@ therefore shared among threads, each of which runs a loop over its own chunks.
 
 import functools
 import os
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Generic, TypeVar, TypeVarTuple, Unpack
 
@@ -85,20 +86,27 @@ class Pixelwise(Generic[P, *Rest, T]):
     def __call__(self, pixels: P, *others: *Rest) -> T:
         """Apply the function to all pixels."""
         if (shares := _threads(pixels, others)) > 1:
-            with ThreadPoolExecutor(shares) as pool:
-                # A thread lacks the settings, float64 say, that a `with` made for its caller.
-                if pool.submit(_settings).result() == _settings():
 
-                    def run_share(i: int) -> T:
-                        result = self.compiled(pixels, others, jnp.asarray(i), shares)
-                        return jax.block_until_ready(result)
+            def run_share(i: int) -> T:
+                return self.compiled(pixels, others, jnp.asarray(i), shares)
 
-                    return _concatenate(list(pool.map(run_share, range(shares))), _count(pixels))
+            return _concatenate(on_cores(run_share, range(shares)), _count(pixels))
         return self.compiled(pixels, others, None, 1)
 
 
 pixelwise = Pixelwise
 """`Pixelwise` as a decorator."""
+
+
+def on_cores(f: Callable[..., T], *arguments: Sequence[Any]) -> list[T]:
+    """Apply `f` to the first of each sequence, to the second and so on, each on a thread of its own
+    in which `Pixelwise` functions use no others; the threads end with the call.
+    """
+    with ThreadPoolExecutor(len(arguments[0]), initializer=_use_one_thread) as pool:
+        # A thread lacks the settings, float64 say, that a `with` made for its caller.
+        if len(arguments[0]) == 1 or pool.submit(_settings).result() != _settings():
+            return [f(*each) for each in zip(*arguments, strict=True)]
+        return list(pool.map(lambda *each: jax.block_until_ready(f(*each)), *arguments))
 
 
 def vmap_in_pieces(function: Callable[[P], T], arguments: P, elements: int) -> T:
@@ -140,12 +148,25 @@ def cores() -> int:
     return len(of_process(0)) if of_process else os.cpu_count() or 1
 
 
-def _threads(pixels: object, others: object) -> int:
-    """Number of threads: a power of two, so that no share is padded; one in a trace."""
-    few = _count(pixels) < _FEW
-    if few or jax.default_backend() != "cpu" or not is_known(pixels, others):
+def share_count(pixels: int) -> int:
+    """Return the number of threads among which so many pixels are shared: a power of two, so that
+    no share is padded; one on an accelerator.
+    """
+    if pixels < _FEW or jax.default_backend() != "cpu" or getattr(_THREAD, "alone", False):
         return 1
     return 1 << (min(cores(), 8).bit_length() - 1)
+
+
+def _threads(pixels: object, others: object) -> int:
+    """Number of threads; one in a trace."""
+    return share_count(_count(pixels)) if is_known(pixels, others) else 1
+
+
+_THREAD = threading.local()
+
+
+def _use_one_thread() -> None:
+    _THREAD.alone = True
 
 
 def _map_share(f: Callable[[P], T], pixels: P, share: Array | int, shares: int) -> T:

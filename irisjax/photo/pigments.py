@@ -119,7 +119,7 @@ _GREEN = np.array([0.55, 0.33, 0.15])  # response of a green iris to thickness
 PRIOR_COVARIANCE = 0.04**2 + 0.06**2 * np.outer(_GREEN, _GREEN) + 0.007**2 * np.eye(3)
 """Prior covariance of a window's channels about its ring: light, thickness, each by itself."""
 PRIOR_WINDOWS = 5.0  # number of windows that the prior counts for
-ALONG_RAYS, AROUND = 0.6, 0.3
+ALONG_RAYS, ALONG_RINGS = 0.6, 0.3
 """Correlation of the errors of a window with those of the next one outwards, and round the iris:
 fibres and the gaps between them run radially through several rings, and sectors are wider than a
 window. Correlations are 0.5 and 0.35 in six photographs of people, 0.65 and 0.15 in irides of
@@ -599,7 +599,7 @@ def _error_levels(log_ratios, response, present):
         return squares + level.light**2 + level.channel**2 * jnp.eye(3)
 
     rings = jnp.arange(RINGS)
-    own = within * (1 + AROUND) / (1 - AROUND) / jnp.maximum(number, 1)[:, None, None]
+    own = within * (1 + ALONG_RINGS) / (1 - ALONG_RINGS) / jnp.maximum(number, 1)[:, None, None]
     own = (
         jnp.asarray(SPREAD_FACTORS**2)[:, None, None, None] * covariance_of(RING)[rings, rings]
         + own
@@ -638,7 +638,7 @@ def _in_rings(values, present):
 
     differences = jnp.where(counted, by_ring - means[:, None], 0)
     inwards = own(differences, ALONG_RAYS, lambda x: jnp.pad(x, ((1, 0), (0, 0), (0, 0)))[:-1])
-    return number, means, own(inwards, AROUND, lambda x: jnp.roll(x, 1, 1))
+    return number, means, own(inwards, ALONG_RINGS, lambda x: jnp.roll(x, 1, 1))
 
 
 @eqx.filter_jit

@@ -4,6 +4,7 @@ from .illumination import Illumination as Illumination
 from .integrator import AbstractIntegrator as AbstractIntegrator
 from .integrator import AbstractResponse as AbstractResponse
 from .picture import draw_bands as draw_bands
+from .picture import draw_on_cores as draw_on_cores
 from .picture import illuminate as illuminate
 from .picture import respond as respond
 from .picture import shade as shade

@@ -3,6 +3,7 @@ the pixel.
 """
 
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -15,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, Int8, Shaped
 
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.media import TEAR
-from irisjax.numerics.chunks import pixelwise
+from irisjax.numerics.chunks import pixelwise, share_count
 from irisjax.numerics.interpolation import smoothstep
 from irisjax.optics.conicoid import (
     Parts,
@@ -165,7 +166,8 @@ def project(eye: Eye, camera: Camera) -> View:
     lid_share = jnp.where(visible_parts(index, eye, camera) == LIDS, 1.0, 0.0)
     shown = [None if p is None else _attenuate(p, 1 - lid_share) for p in shown]
     lids = _attenuate(dataclasses.replace(trace_lids(index, eye, camera), index=None), lid_share)
-    return _attenuate_by_lashes(View(*shown, size=(columns, rows), lids=lids), eye, camera)
+    view = View(*shown, size=(columns, rows), lids=lids)
+    return _attenuate_by_lashes(view, lash_coverage(eye, camera))
 
 
 def project_visible(eye: Eye, camera: Camera, *, once: bool = False) -> View:
@@ -181,6 +183,22 @@ def project_visible(eye: Eye, camera: Camera, *, once: bool = False) -> View:
             by less; and its programs do not depend on the picture's size. Most pictures share them,
             and to compile takes longer than to draw the padding.
     """
+    (trace,) = _project_shares(eye, camera, 1, once)
+    return trace()
+
+
+def project_shares(eye: Eye, camera: Camera) -> list[Callable[[], View]]:
+    """Find what each pixel of a camera sees, and share the pixels of each part out evenly, a share
+    for each of the processor's cores.
+
+    Returns:
+        Functions that trace a share; radiances in these views add up to those of `project_visible`.
+    """
+    rows, columns = camera.shape
+    return _project_shares(eye, camera, share_count(rows * columns), False)
+
+
+def _project_shares(eye: Eye, camera: Camera, shares: int, once: bool) -> list[Callable[[], View]]:
     rows, columns = camera.shape
     count, is_band = rows * columns, camera.rows is not None
     all_pixels = np.arange(count, dtype=np.int32)
@@ -198,9 +216,15 @@ def project_visible(eye: Eye, camera: Camera, *, once: bool = False) -> View:
     rays = AnySize.of(camera) if once else camera
     seen = visible_parts(jnp.asarray(np.pad(all_pixels, padding, mode="edge")), eye, rays)
     visible = np.asarray(seen)[:count]
+    tracers = {IRIS: trace_iris, SCLERA: trace_sclera, MIRROR: trace_tear_film, LIDS: trace_lids}
+    indices = {
+        part: np.array_split(np.flatnonzero(visible & part).astype(np.int32), shares)
+        for part in tracers
+    }
 
-    def select(part: int, trace: Callable[..., Any]) -> Any:
-        index = np.flatnonzero(visible & part)
+    def select(part: int, share: int) -> Any:
+        index = indices[part][share]
+        trace: Callable[..., Any] = tracers[part]
         if not index.size:
             return None
         if index.size == count and not is_band and not once:
@@ -210,21 +234,23 @@ def project_visible(eye: Eye, camera: Camera, *, once: bool = False) -> View:
         # padded to one length.
         length = count if is_band else index.size
         padding = 0, padded_length(length) - index.size
-        traced = trace(np.pad(index.astype(np.int32), padding, mode="edge"), eye, rays)
-        numbers = np.pad(index.astype(np.int32), padding, constant_values=-1)
+        traced = trace(np.pad(index, padding, mode="edge"), eye, rays)
+        numbers = np.pad(index, padding, constant_values=-1)
         return dataclasses.replace(traced, index=jnp.asarray(numbers))
 
-    parts = (IRIS, trace_iris), (SCLERA, trace_sclera), (MIRROR, trace_tear_film)
-    view = View(*(select(*part) for part in parts), size=(columns, rows))
-    if eye.lids is None:
-        return view
-    view = dataclasses.replace(view, lids=select(LIDS, trace_lids))
-    return _attenuate_by_lashes(view, eye, camera)
-
-
-def _attenuate_by_lashes(view: View, eye: Eye, camera: Camera) -> View:
-    """Reduce the parts of a view by what lashes cover."""
     lashes = lash_coverage(eye, camera)
+
+    def trace_share(share: int) -> View:
+        iris, sclera, mirror, lids = (select(part, share) for part in tracers)
+        view = View(iris, sclera, mirror, size=(columns, rows), lids=lids)
+        view = _attenuate_by_lashes(view, lashes)
+        return view if share == 0 else dataclasses.replace(view, lashes=None)
+
+    return [functools.partial(trace_share, k) for k in range(shares)]
+
+
+def _attenuate_by_lashes(view: View, lashes: Float[Array, " pixels"] | None) -> View:
+    """Reduce the parts of a view by what lashes cover of each pixel of the picture."""
     if lashes is None:
         return view
     names = "iris", "sclera", "mirror", "lids"

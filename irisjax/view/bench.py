@@ -20,9 +20,8 @@ from irisjax.ocularist.integrator import Painted
 from irisjax.ocularist.mixing import linear_colour
 from irisjax.ocularist.painting import OPACITY_SIZE, painted, studio
 from irisjax.render.illumination import Illumination
-from irisjax.render.picture import LitView, surroundings
 from irisjax.render.scene import Scene
-from irisjax.view.session import CommonSettings, KeptPicture, KeptValue, Session
+from irisjax.view.session import CommonSettings, KeptShare, KeptValue, Session
 
 
 class Layer(NamedTuple):
@@ -146,18 +145,15 @@ class Bench(Session[BenchSettings]):
         self._file = path
         return path
 
-    def _light(self, kept: KeptPicture, lit: object, view, texels, scene, tables) -> LitView:
+    def _light(self, kept: KeptShare, lit: object, view, texels, scene, tables) -> Any:
         """Only coats that have changed and those below are painted."""
-        painted, pixels = scene.integrator, view.iris
+        painted = scene.integrator
         assert isinstance(painted, Painted)
-
-        def light():
-            parts = scene.all_lights(), scene.eye, tables
-            base = None if pixels is None else painted.base(pixels, *parts)
-            return surroundings(view, texels, scene), base, {}
-
-        around, base, steps = kept.light.of(lit, light)
-        return LitView(around, None if base is None else painted.paint(base, steps))
+        if view.iris is None:
+            return None
+        parts = scene.all_lights(), scene.eye, tables
+        base, steps = kept.light.of(lit, lambda: (painted.base(view.iris, *parts), {}))
+        return painted.paint(base, steps)
 
     def _set(self, s: BenchSettings, size: tuple[int, int]) -> Scene:
         on = tuple(self._coat(layer) for layer in s.layers if layer.on)

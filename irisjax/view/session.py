@@ -13,16 +13,28 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from irisjax.anatomy.eye import Eye
 from irisjax.io.scenes import in_degrees
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import check_known
+from irisjax.numerics.chunks import on_cores
 from irisjax.render.camera import Camera
 from irisjax.render.environment import ENVIRONMENTS, Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractResponse
 from irisjax.render.lights import Lights
-from irisjax.render.picture import LitView, Texels, illuminate, respond, shade, texture
-from irisjax.render.project import View, project, project_visible
+from irisjax.render.picture import (
+    Radiances,
+    Texels,
+    add_parts,
+    dark,
+    iris_part,
+    light_on_iris,
+    respond,
+    surrounding_parts,
+    texture,
+)
+from irisjax.render.project import View, project, project_shares
 from irisjax.render.scene import Scene
 
 GIVEN = "as given"
@@ -107,13 +119,23 @@ class KeptValue(Generic[V]):
         return self._found[1]
 
 
-class KeptPicture:
-    """Values of the functions that make pictures of one size."""
+class KeptShare:
+    """Values of the functions that make pictures, at a share of the pixels."""
 
     def __init__(self) -> None:
         self.view: KeptValue[View] = KeptValue()
         self.texels: KeptValue[Texels] = KeptValue()
+        self.parts: KeptValue[Radiances] = KeptValue()
         self.light: KeptValue[Any] = KeptValue()
+
+
+class KeptPicture:
+    """Values that make pictures of one size."""
+
+    def __init__(self) -> None:
+        self.tracers: KeptValue[list[Callable[[], View]]] = KeptValue()
+        self.shares: list[KeptShare] = []
+        self.around: KeptValue[Array] = KeptValue()
         self.picture: KeptValue[tuple[np.ndarray, float | None]] = KeptValue()
 
 
@@ -158,9 +180,9 @@ class Session(abc.ABC, Generic[S]):
     def _set(self, s: S, size: tuple[int, int]) -> Scene:
         """The scene under some settings, its picture of this width and height."""
 
-    def _light(self, kept: KeptPicture, lit: object, view, texels, scene, tables) -> LitView:
-        """`illuminate`; `lit` is what it depends on."""
-        return kept.light.of(lit, lambda: illuminate(view, texels, scene, tables))
+    def _light(self, kept: KeptShare, lit: object, view, texels, scene, tables) -> Any:
+        """`light_on_iris`; `lit` is what it depends on."""
+        return kept.light.of(lit, lambda: light_on_iris(view, texels, scene, tables))
 
     def _picture(self, s: S, draft: bool) -> tuple[np.ndarray, float | None]:
         """Picture, and the error of its response."""
@@ -170,17 +192,29 @@ class Session(abc.ABC, Generic[S]):
     def _drawn(self, kept: KeptPicture, s: S, draft: bool) -> tuple[np.ndarray, float | None]:
         scene = self._set(s, self._size(draft))
         # The view depends neither on the pupil nor on light. A draft projects all pixels:
-        # `project_visible` selects those of each part, and a new number of them compiles a new
+        # `project_shares` selects those of each part, and a new number of them compiles a new
         # program, which would interrupt the dragging of the camera.
-        see = _projected if draft else project_visible
-        view = kept.view.of(values_of(s, CAMERA), lambda: see(scene.eye, scene.camera))
+        seen, see = values_of(s, CAMERA), _projected if draft else project_shares
+        tracers = kept.tracers.of(seen, lambda: see(scene.eye, scene.camera))
+        kept.shares += [KeptShare() for _ in range(len(tracers) - len(kept.shares))]
         surfaces = values_of(s, (*CAMERA, "environment", "strength", *self._SURFACES))
-        texels = kept.texels.of(surfaces, lambda: texture(view, scene))
         grazing = self._grazing.of(values_of(s, LIGHT), scene.grazing)
         tables = self._tables[grazing].of(None, lambda: self._tables_of(scene))
-        light = self._light(kept, (surfaces, values_of(s, LIGHT)), view, texels, scene, tables)
         response = self._response.of(values_of(s, self._MATERIAL), lambda: respond(scene))
-        picture = encoded(shade(view, texels, light, response), s.exposure)
+        lit = surfaces, values_of(s, LIGHT)
+
+        def draw_share(own: KeptShare, trace: Callable[[], View]) -> tuple[Radiances, Radiances]:
+            view = own.view.of(seen, trace)
+            texels = own.texels.of(surfaces, lambda: texture(view, scene))
+            parts = own.parts.of(lit, lambda: surrounding_parts(view, texels, scene))
+            light = self._light(own, lit, view, texels, scene, tables)
+            return parts, iris_part(view, texels, light, response)
+
+        shares = on_cores(draw_share, kept.shares[: len(tracers)], tracers)
+        outside, iris = ([share[i] for share in shares] for i in (0, 1))
+        size = scene.camera.size
+        surroundings = kept.around.of(lit, lambda: add_parts(dark(scene, size), outside))
+        picture = encoded(add_parts(surroundings, iris, size), s.exposure)
         return picture, None if response.error is None else float(response.error)
 
     def environments(self) -> tuple[str, ...]:
@@ -248,7 +282,11 @@ def encoded(picture: Any, exposure: float) -> np.ndarray:
     return np.asarray(_encoded(picture, jnp.asarray(exposure, picture.dtype)))
 
 
-_projected = eqx.filter_jit(project)
+def _projected(eye: Eye, camera: Camera) -> list[Callable[[], View]]:
+    return [lambda: _compiled_project(eye, camera)]
+
+
+_compiled_project = eqx.filter_jit(project)
 
 
 @eqx.filter_jit

@@ -8,10 +8,10 @@ from scipy import linalg, special, stats
 
 from irisjax.photo.pigments import (
     ALONG_RAYS,
+    ALONG_RINGS,
     PRIOR_COVARIANCE,
     PRIOR_WINDOWS,
     RING,
-    AROUND,
     SPREAD_FACTORS,
     WHOLE,
     covariances,
@@ -56,10 +56,10 @@ def _apart(off):
         count = there.sum()
         if there.all():  # a chain without an end: its filter is circulant
             first = np.zeros(ANGLES)
-            first[:2] = 1, -AROUND
-            away[ring] = linalg.circulant(first) @ away[ring] / np.sqrt(1 - AROUND**2)
+            first[:2] = 1, -ALONG_RINGS
+            away[ring] = linalg.circulant(first) @ away[ring] / np.sqrt(1 - ALONG_RINGS**2)
         elif count:
-            root = np.linalg.cholesky(linalg.toeplitz(AROUND ** np.arange(count)))
+            root = np.linalg.cholesky(linalg.toeplitz(ALONG_RINGS ** np.arange(count)))
             away[ring, there] = np.linalg.solve(root, away[ring, there])
     return [ring[there] for ring, there in zip(away, present, strict=True) if there.any()]
 
@@ -72,7 +72,7 @@ def _between(off, within, wider):
     for k, ring in enumerate(rings):
         own = RING.thickness**2 * np.outer(seen[k], seen[k]) + RING.light**2
         own += RING.channel**2 * np.eye(3)
-        of_mean = within[k] * (1 + AROUND) / (1 - AROUND) / len(ring)
+        of_mean = within[k] * (1 + ALONG_RINGS) / (1 - ALONG_RINGS) / len(ring)
         blocks[k][k] += wider**2 * own + of_mean
     return np.block(blocks)
 

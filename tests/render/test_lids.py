@@ -15,7 +15,14 @@ from irisjax.grow.lids import lids
 from irisjax.numerics.strokes import stamp_strokes, stroke_sections
 from irisjax.render.lids import lid_visibility, skin_reflectance
 from irisjax.render.lights import Lights
-from irisjax.render.picture import surroundings, texture
+from irisjax.render.picture import (
+    draw_on_cores,
+    illuminate,
+    respond,
+    shade,
+    surroundings,
+    texture,
+)
 from irisjax.render.project import project, project_visible, scatter_to_picture
 from irisjax.render.scene import Scene
 from irisjax.render.shading import incident_flux
@@ -116,6 +123,16 @@ def test_skin_is_all_round_the_eye(seen):
     assert (red[corners] > 1.2 * blue[corners]).all() and (blue[corners] > 0).all()
     # The white is less red, and brighter than the skin in the blue.
     assert red[6, 4] < 1.3 * blue[6, 4] and blue[6, 4] > blue[corners].max()
+
+
+def test_shares_of_the_pixels_make_the_same_picture(seen, monkeypatch):
+    """Each part once, lashes too, whatever the number of cores."""
+    scene = Scene(LIGHT, eye=EYE, camera=CAMERA, integrator=QUICK)
+    texels, response, tables = texture(seen, scene), respond(scene), scene.tables()
+    whole = shade(seen, texels, illuminate(seen, texels, scene, tables), response)
+    monkeypatch.setattr("irisjax.numerics.chunks._FEW", 1)
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: range(4), raising=False)
+    np.testing.assert_array_equal(draw_on_cores(scene, tables, response), whole)
 
 
 def test_absent_lids_cost_nothing():
