@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
+from scipy import ndimage
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
@@ -243,8 +244,10 @@ def choose_pixels(
     the iris without highlights, lashes, lids, freckles and white.
 
     `light` is the model's irradiance of the iris at each pixel, if only the eye itself casts
-    shadows on it. Without it, windows in the shade are recognised by the photograph's brightness,
-    which also drops windows that are dark themselves. Six windows at least must be free.
+    shadows on it. Windows beside those in the shade do not count then either: the shadow's edge
+    moves with the direction of the light, which is uncertain by degrees. Without it, windows in the
+    shade are recognised by the photograph's brightness, which also drops windows that are dark
+    themselves. Six windows at least must be free.
     """
     iris = view.iris
     if iris is None:
@@ -265,7 +268,10 @@ def choose_pixels(
 
     colour = mean(pixels, 3)
     brightness = colour @ LUMINANCE_WEIGHTS if light is None else mean(light, 1)[:, 0]
-    present = (count > 0) & ~_find_shaded(brightness, count > 0)
+    shaded = _find_shaded(brightness, count > 0)
+    if light is not None:
+        shaded = _with_neighbours(shaded)
+    present = (count > 0) & ~shaded
     if present.sum() < 6:
         raise ValueError(
             f"only {present.sum()} windows of the iris are free of highlights, lashes, lids and "
@@ -357,6 +363,12 @@ def _find_shaded(light, present) -> Bool[np.ndarray, " windows"]:
     """Windows much darker than most of their ring: in a shadow, whose edge is not modelled well."""
     rings = np.ma.masked_array(light, ~present).reshape(RINGS, ANGLES)
     return (rings < SHADED * np.ma.median(rings, axis=1)[:, None]).filled(False).ravel()
+
+
+def _with_neighbours(windows: Bool[np.ndarray, " windows"]) -> Bool[np.ndarray, " windows"]:
+    """Add the windows that touch some, round the iris and across it."""
+    rings = np.pad(windows.reshape(RINGS, ANGLES), ((0, 0), (1, 1)), mode="wrap")
+    return ndimage.binary_dilation(rings, np.ones((3, 3)))[:, 1:-1].ravel()
 
 
 def _tear_film(view: View, shape: tuple[int, int], environment: Environment | None):
