@@ -39,8 +39,8 @@ def lids(eye: Eye, *, texels: int = 1024, key: PRNGKey, **fields: Any) -> Lids:
 
 
 def _lashes(rng, lids: Lids, centre) -> np.ndarray:
-    """Grow two rows of lashes on the upper lid and one on the lower: points and radii of each."""
-    rows = [(True, 80), (True, 70), (False, 60)]
+    """Grow three rows of lashes on the upper lid and one on the lower: points and radii of each."""
+    rows = [(True, 85), (True, 75), (True, 45), (False, 60)]
     row = np.repeat(np.arange(len(rows)), [n for _, n in rows])
     count = len(row)
     upper = np.concatenate([np.full(n, of_upper) for of_upper, n in rows])
@@ -51,18 +51,18 @@ def _lashes(rng, lids: Lids, centre) -> np.ndarray:
     tufts = np.repeat(np.arange(count), rng.integers(1, 5, count))[:count]
     _, tufts = np.unique(tufts * len(rows) + row, return_inverse=True)  # none in two rows
     middle = (np.bincount(tufts, s) / np.bincount(tufts))[tufts]
-    lean = rng.normal(0, 0.1, count)[tufts] + 1.1 * (middle - s)
+    lean = rng.normal(0, 0.07, count)[tufts] + 1.0 * (middle - s)
     outward = s * lids.nose * np.where(s < 0, 1.3, 0.7) * np.where(upper, 0.55, 0.4)
     fan = outward + lean + rng.normal(0, 0.04, count)
     side = np.outer(fan, 0.5 * t * (1 + t)) + np.outer(rng.normal(0, 0.06, count), t**2)
     lift = rng.normal(1, 0.12, count)
     # Upper lashes reach forwards before they curl up, so that the tear film mirrors their tips.
-    rising, falling = np.outer(lift, 0.15 * t + 0.55 * t**2), 0.3 * t**2 - np.outer(lift, 0.85 * t)
+    rising, falling = np.outer(lift, 0.7 * t**2 - 0.08 * t), 0.3 * t**2 - np.outer(lift, 0.85 * t)
     up = np.where(upper[:, None], rising, falling)
     out = np.where(upper[:, None], 0.95 * t - 0.15 * t**2, 0.5 * t + 0.1 * t**2)
-    length = np.where(upper, 8.0, 4.0) * (1 - 0.4 * s**2 - 0.25 * s)
-    along = (length * rng.uniform(0.55, 1.12, count))[:, None]
-    beyond = rng.uniform(0.5, 1.0, count) * EDGE_WIDTH
+    length = np.where(upper, 7.0, 3.6) * (1 - 0.4 * s**2 - 0.25 * s)
+    along = (length * rng.uniform(0.5, 1.1, count))[:, None]
+    beyond = rng.uniform(0.1, 0.55, count) * EDGE_WIDTH
     place = jnp.asarray(np.stack([s, beyond]))
     x, y, z = np.asarray(_roots(lids, jnp.asarray(upper), place, centre))
     path = x[:, None] + along * side, y[:, None] + along * up, z[:, None] - along * out

@@ -6,6 +6,7 @@ Lids cast no shadows on themselves; at the fold and in the corners they are dark
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 
@@ -32,8 +33,9 @@ from irisjax.tissue.pigments import extinction
 LASH = 0.015
 """Reflectance of a lash."""
 BOUNCE = 0.2
-"""Share of the light blocked by lids that reaches the eye from their skin."""
+"""Share of the light blocked by lids that their skin sends to the eye, times its reflectance."""
 _START_DEPTH = -3.0  # z at which the search along rays begins, in front of all but the brow, mm
+_GREEN = 560.0  # wavelength, nm
 _WRAP = 0.35  # cosine by which light reaches past the terminator of skin
 
 
@@ -95,6 +97,17 @@ def lid_colours(
         (0 * lids.melanin, 2.0 * lids.blood),
     )
     return jnp.stack([skin_reflectance(wavelengths, *kind) for kind in kinds]) @ weights.T
+
+
+def light_past_lids(visibility: Float[Array, "..."], lids: Lids) -> Float[Array, "..."]:
+    """Compute the share of light that reaches the iris from its `lid_visibility`: what lids do not
+    block, and what their skin sends on.
+
+    Approximation: light from the skin keeps the direction of the light that is blocked, and its
+    colour, by the skin's reflectance in the green. It is a tenth of what is blocked at most.
+    """
+    skin = skin_reflectance(np.array([_GREEN]), lids.melanin, lids.blood)[0]
+    return visibility + BOUNCE * skin * (1 - visibility)
 
 
 def lash_coverage(eye: Eye, camera: Camera) -> Float[Array, " pixels"] | None:

@@ -19,7 +19,7 @@ from irisjax.numerics.roots import safe_sqrt, share_of
 from irisjax.optics.conicoid import Parts, dot, from_axis, from_parts, norm, parts
 from irisjax.optics.fresnel import fresnel_at
 from irisjax.render.illumination import Illumination, near_lamp_entry
-from irisjax.render.lids import lid_visibility
+from irisjax.render.lids import lid_visibility, light_past_lids
 from irisjax.render.lights import Lights
 from irisjax.render.project import IrisPixels
 from irisjax.render.surfaces import IrisSurface, TextureCoordinates
@@ -161,7 +161,8 @@ def _flux_of_light(lights: Lights, i, point, eye: Eye, tables: Illumination | No
     distance = share_of(eye.iris_depth - z, w, 0.0)
     entry = x - distance * u, y - distance * v, z
     towards, _ = lights.incident_at(entry, i)
-    return flux * lid_visibility(eye, entry, towards, lights.radius[i])[..., None]
+    visibility = lid_visibility(eye, entry, towards, lights.radius[i])
+    return flux * light_past_lids(visibility, eye.lids)[..., None]
 
 
 def _flux_without_lids(lights: Lights, i, entry, eye: Eye, tables: Illumination | None):

@@ -13,7 +13,7 @@ from common import operations, quick_jit
 from irisjax.anatomy.sclera import sclera_centre
 from irisjax.grow.lids import lids
 from irisjax.numerics.strokes import stamp_strokes, stroke_sections
-from irisjax.render.lids import lid_visibility, skin_reflectance
+from irisjax.render.lids import lid_visibility, light_past_lids, skin_reflectance
 from irisjax.render.lights import Lights
 from irisjax.render.picture import (
     draw_on_cores,
@@ -91,6 +91,20 @@ def test_lids_keep_light_from_above_from_the_eye():
     (_, slope), *step = (value(jnp.asarray([2.5 + e])) for e in (0, 1e-5, -1e-5))
     step = [float(v) for v, _ in step]
     np.testing.assert_allclose(slope, (step[0] - step[1]) / 2e-5, rtol=1e-4)
+
+
+def test_skin_sends_little_of_the_light_that_lids_block_to_the_iris():
+    """Dark skin less; where nothing is blocked nothing is added."""
+    visibility = jnp.asarray([0.0, 1.0])
+    pale, dark = (
+        np.asarray(
+            quick_jit(light_past_lids)(
+                visibility, dataclasses.replace(EYE.lids, melanin=jnp.asarray(melanin))
+            )
+        )
+        for melanin in (0.015, 0.3)
+    )
+    assert 0 < 3 * dark[0] < pale[0] < 0.11 and dark[1] == pale[1] == 1
 
 
 def _of(lamps):
