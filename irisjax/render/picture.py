@@ -134,10 +134,11 @@ def draw_on_cores(
         tables: `scene.tables()`.
         response: `respond(scene)`.
     """
+    model = iris_model(scene)
 
     def draw_share(trace: Callable[[], View]) -> Radiances:
         view = trace()
-        texels = texture(view, scene)
+        texels = texture(view, scene, model)
         light = light_on_iris(view, texels, scene, tables)
         parts = surrounding_parts(view, texels, scene)
         return parts | iris_part(view, texels, light, response)
@@ -147,12 +148,13 @@ def draw_on_cores(
     return add_parts(dark(scene, size), shares, size)
 
 
-def texture(view: View, scene: Scene) -> Texels:
+def texture(view: View, scene: Scene, model: IrisModel | None = None) -> Texels:
     """Look up the maps of the surfaces at the points that pixels see.
 
     Args:
         view: Result of `project` or `project_visible` for the eye and the camera of the scene.
         scene: The scene; its lamps and pigments make no difference.
+        model: `iris_model(scene)`, which is the same for every view; computed by default.
     """
     sclera, environment, lids, eye = None, None, None, scene.eye
     if view.sclera is not None and eye.sclera is not None:
@@ -162,16 +164,25 @@ def texture(view: View, scene: Scene) -> Texels:
         environment = outside.mirrored_environment(view.mirror, scene.environment)
     if view.lids is not None and eye.lids is not None:
         lids = lid_base_colour(view.lids, _lid_colours(eye.lids, _spectrum(scene)))
-    return Texels(*iris_texels(view, scene), sclera, environment, _residual(view, scene), lids)
+    return Texels(
+        *iris_texels(view, scene, model), sclera, environment, _residual(view, scene), lids
+    )
 
 
-def iris_texels(view: View, scene: Scene) -> tuple[Any, Facing | None]:
+def iris_model(scene: Scene) -> IrisModel:
+    """Return the iris of a scene, its relief prepared for many views."""
+    return IrisModel(scene.eye, scene.iris, scene.maps).with_relief()
+
+
+def iris_texels(
+    view: View, scene: Scene, model: IrisModel | None = None
+) -> tuple[Any, Facing | None]:
     """Look up the maps of the iris and its relief at the points that pixels see, the first part of
     `texture`.
     """
     if view.iris is None:
         return None, None
-    model = IrisModel(scene.eye, scene.iris, scene.maps)
+    model = iris_model(scene) if model is None else model
     texels = scene.integrator.texels(view.iris, model, scale_ranges(scene.iris, scene.maps))
     return texels, model.facing(view.iris)
 
@@ -352,7 +363,7 @@ def draw_bands(
         max_pixels = 1 << (max_pixels.bit_length() - 1)
     count = -(-height // max(max_pixels // (width * samples**2), 1))
     rows = -(-height // count)
-    response = respond(scene)
+    response, model = respond(scene), iris_model(scene)
     for start in range(0, height, rows):
         # The last band overlaps the one before, so that all bands have one compiled shape.
         first = min(start, height - rows)
@@ -360,7 +371,7 @@ def draw_bands(
         if count > 1 or samples > 1:
             band_scene = scene.replace(camera=scene.camera.crop_rows(first, rows, samples))
         view = project_visible(band_scene.eye, band_scene.camera, once=True)
-        texels = texture(view, band_scene)
+        texels = texture(view, band_scene, model)
         light = illuminate(view, texels, band_scene, tables)
         error = None if response.error is None else float(response.error)
         picture = np.asarray(shade(view, texels, light, response))

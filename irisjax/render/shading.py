@@ -54,17 +54,27 @@ class IrisModel(NamedTuple):
         eye: The eye.
         iris: Tissue of the iris; `None` if it is painted.
         maps: Maps of the iris; `None` if it is uniform.
+        relief: The `relief_field` of the maps, if it is computed already.
     """
 
     eye: Eye
     iris: Any
     maps: IrisMaps | None
+    relief: Float[Array, "angles radii 4"] | None = None
+
+    def with_relief(self) -> "IrisModel":
+        """Compute the relief's field once for many views."""
+        if self.maps is None or self.maps.relief is None:
+            return self
+        return self._replace(relief=relief_field(self.maps.relief, self.eye))
 
     def facing(self, pixels: IrisPixels) -> Facing | None:
         """Compute how the relief turns the iris at pixels; `None` without a relief."""
+        if self.relief is not None:
+            return facing_at(pixels, self.eye, self.relief)
         if self.maps is None or self.maps.relief is None:
             return None
-        return facing_at(pixels, self.eye, relief_field(self.maps.relief, self.eye))
+        return self.with_relief().facing(pixels)
 
 
 def flux_at(

@@ -28,6 +28,7 @@ from irisjax.render.picture import (
     Texels,
     add_parts,
     dark,
+    iris_model,
     iris_part,
     light_on_iris,
     respond,
@@ -36,6 +37,7 @@ from irisjax.render.picture import (
 )
 from irisjax.render.project import View, project, project_shares
 from irisjax.render.scene import Scene
+from irisjax.render.shading import IrisModel
 
 GIVEN = "as given"
 SURROUNDS = "none", "studio", "sky"
@@ -157,7 +159,7 @@ class Session(abc.ABC, Generic[S]):
         self._base, self._tables_of = scene, tables_of
         self._tables = {grazing: KeptValue[Illumination | None]() for grazing in (False, True)}
         self._grazing, self._environment = KeptValue[bool](), KeptValue[Environment | None]()
-        self._response = KeptValue[AbstractResponse]()
+        self._response, self._model = KeptValue[AbstractResponse](), KeptValue[IrisModel]()
         self._kept = {draft: KeptPicture() for draft in (False, True)}
 
     def update(self, *, draft: bool = False, **changes: Any) -> np.ndarray:
@@ -201,11 +203,12 @@ class Session(abc.ABC, Generic[S]):
         grazing = self._grazing.of(values_of(s, LIGHT), scene.grazing)
         tables = self._tables[grazing].of(None, lambda: self._tables_of(scene))
         response = self._response.of(values_of(s, self._MATERIAL), lambda: respond(scene))
+        model = self._model.of(values_of(s, self._SURFACES), lambda: iris_model(scene))
         lit = surfaces, values_of(s, LIGHT)
 
         def draw_share(own: KeptShare, trace: Callable[[], View]) -> tuple[Radiances, Radiances]:
             view = own.view.of(seen, trace)
-            texels = own.texels.of(surfaces, lambda: texture(view, scene))
+            texels = own.texels.of(surfaces, lambda: texture(view, scene, model))
             parts = own.parts.of(lit, lambda: surrounding_parts(view, texels, scene))
             light = self._light(own, lit, view, texels, scene, tables)
             return parts, iris_part(view, texels, light, response)
