@@ -26,6 +26,7 @@ import jax.numpy as jnp
 import numpy as np
 import optimistix as optx
 from jaxtyping import Array, ArrayLike, Bool, Float
+from scipy import linalg as scipy_linalg
 from scipy import stats
 from scipy.stats import qmc
 
@@ -80,12 +81,12 @@ _CLOSE = 1e-3  # tolerance of the search, in standard deviations of the prior
 _EXPOSURE_SPREAD = 0.15
 _FLOOR = 0.01  # of the photograph's mean, below which colours do not count
 # Searches begin at the priors' medians, at these with one of the first six parameters `_FAR`
-# standard deviations off, and at the most probable of draws that are `_APART` in one parameter. The
-# posterior often has several maxima: a dark iris in much light and one that scatters strongly in
-# little, or a stroma that shows and one that a pigment makes opaque. From four fixed starts the
+# standard deviations off, and at the most probable of draws that are `_DISTINCT` in one parameter.
+# The posterior often has several maxima: a dark iris in much light and one that scatters strongly
+# in little, or a stroma that shows and one that a pigment makes opaque. From four fixed starts the
 # highest was missed in two of six photographs of people.
 _FAR, _MOVED = 3.0, 6
-_DRAWN, _SEARCHES, _APART = 2048, 8, 1.5
+_DRAWN, _SEARCHES, _DISTINCT = 2048, 8, 1.5
 _NEAR = 2.0  # standard deviations within which two searches have found one maximum
 _LOWER = 12.0  # by which a maximum's log density is lower than the highest and does not matter
 EFFECTIVE, _ROUNDS = 4096, 32
@@ -125,6 +126,8 @@ fibres and the gaps between them run radially through several rings, and sectors
 window. Correlations are 0.5 and 0.35 in six photographs of people, 0.65 and 0.15 in irides of
 `procedural`. Taken for independent, a bright sector looks like light from its side.
 """
+_APART = np.minimum(np.arange(ANGLES), ANGLES - np.arange(ANGLES))
+_ROUND = scipy_linalg.circulant(ALONG_RINGS**_APART)  # correlations of the windows of a ring
 
 
 class PigmentFit(NamedTuple):
@@ -373,8 +376,9 @@ def log_likelihood(log_ratios: WindowColours, response: WindowColours, present: 
     """Return the logarithm of the density of errors, without constants.
 
     That of the rings' means is a mixture of normal densities over `SPREAD_FACTORS`. That of windows
-    about them is a matrix t: the normal density with the inverse Wishart prior of its covariance
-    integrated out [Gelman et al. 2013, Section 3.6].
+    about them, less what their neighbours tell (`ALONG_RAYS`), is a matrix t: the normal density
+    with the inverse Wishart prior of its covariance integrated out [Gelman et al. 2013,
+    Section 3.6].
 
     Args:
         log_ratios: Logarithms of photograph over model, ring after ring.
@@ -477,7 +481,7 @@ def _starts(windows: Windows, base: Iris) -> Float[np.ndarray, "starts free"]:
     densities = _densities((windows, base), x)
     chosen = np.zeros((0, len(FREE_NAMES)))
     for row in x[np.argsort(-densities, kind="stable")]:
-        if (np.abs(row - chosen).max(-1) > _APART).all():
+        if (np.abs(row - chosen).max(-1) > _DISTINCT).all():
             chosen = np.append(chosen, row[None], axis=0)
         if len(chosen) == _SEARCHES:
             break
@@ -599,7 +603,11 @@ def _error_levels(log_ratios, response, present):
         return squares + level.light**2 + level.channel**2 * jnp.eye(3)
 
     rings = jnp.arange(RINGS)
-    own = within * (1 + ALONG_RINGS) / (1 - ALONG_RINGS) / jnp.maximum(number, 1)[:, None, None]
+    # Variance of a mean. Means of neighbouring rings are correlated too, which is little beside
+    # `RING`.
+    counted = jnp.asarray(present, within.dtype).reshape(RINGS, ANGLES)
+    share = jnp.einsum("ra,ab,rb->r", counted, _ROUND, counted) / jnp.maximum(number, 1) ** 2
+    own = within * share[:, None, None]
     own = (
         jnp.asarray(SPREAD_FACTORS**2)[:, None, None, None] * covariance_of(RING)[rings, rings]
         + own
@@ -625,20 +633,30 @@ def _inverse(a):
 def _in_rings(values, present):
     """Number of windows of each ring, their mean values, and the differences from it: of these,
     what the windows next to them do not tell, scaled to the same variance.
+
+    Approximation: rings next to one another scatter equally. On average they do within a half.
     """
     counted = jnp.asarray(present).reshape(RINGS, ANGLES, 1)
     by_ring = values.reshape(RINGS, ANGLES, 3)
     number = counted.sum(1)[:, 0]
-    means = jnp.where(counted, by_ring, 0).sum(1) / jnp.maximum(number, 1)[:, None]
 
-    def own(differences, correlation, before):
-        """What the windows before, to be found by a function, do not tell."""
-        rest = (differences - correlation * before(differences)) / math.sqrt(1 - correlation**2)
-        return jnp.where(counted & before(counted), rest, differences)
+    def centred(values):
+        means = jnp.where(counted, values, 0).sum(1) / jnp.maximum(number, 1)[:, None]
+        return means, jnp.where(counted, values - means[:, None], 0)
 
-    differences = jnp.where(counted, by_ring - means[:, None], 0)
-    inwards = own(differences, ALONG_RAYS, lambda x: jnp.pad(x, ((1, 0), (0, 0), (0, 0)))[:-1])
-    return number, means, own(inwards, ALONG_RINGS, lambda x: jnp.roll(x, 1, 1))
+    means, differences = centred(by_ring)
+    inner, seen = (jnp.pad(x, ((1, 0), (0, 0), (0, 0)))[:-1] for x in (differences, counted))
+    along_rays = _unexplained(differences, inner, counted & seen, ALONG_RAYS)
+    # The windows further in may be others than those of the ring, and have another mean.
+    _, differences = centred(along_rays)
+    before, seen = (jnp.roll(x, 1, 1) for x in (differences, counted))
+    return number, means, _unexplained(differences, before, counted & seen, ALONG_RINGS)
+
+
+def _unexplained(values, neighbours, seen, correlation: float):
+    """What the neighbours that are seen do not tell of values, scaled to the same variance."""
+    rest = (values - correlation * neighbours) / math.sqrt(1 - correlation**2)
+    return jnp.where(seen, rest, values)
 
 
 @eqx.filter_jit

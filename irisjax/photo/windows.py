@@ -256,21 +256,13 @@ def choose_pixels(
     index, window = _sample_windows(windows)
     sampled = dataclasses.replace(iris, index=None)
     sampled = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), sampled)
-    inside = windows < COUNT
-    windows, numbers = windows[inside], project.pixel_numbers(iris)[inside]
-    count = np.bincount(windows, minlength=COUNT)
-
-    def mean(values, channels: int):
-        """Mean of the values of a picture in each window."""
-        values = values.reshape(-1, channels)[numbers].T
-        sums = [np.bincount(windows, v, COUNT) for v in values]
-        return np.stack(sums, -1) / np.maximum(count, 1)[:, None]
-
+    count, mean = _means_of_windows(windows, iris)
     colour = mean(pixels, 3)
-    brightness = colour @ LUMINANCE_WEIGHTS if light is None else mean(light, 1)[:, 0]
-    shaded = _find_shaded(brightness, count > 0)
-    if light is not None:
-        shaded = _with_neighbours(shaded)
+    if light is None:
+        shaded = _find_shaded(colour @ LUMINANCE_WEIGHTS, count > 0)
+    else:  # known where a window is hidden, too
+        number, mean_light = _means_of_windows(_windows_of_pixels(iris, None, eye), iris)
+        shaded = _with_neighbours(_find_shaded(mean_light(light, 1)[:, 0], number > 0))
     present = (count > 0) & ~shaded
     if present.sum() < 6:
         raise ValueError(
@@ -366,9 +358,9 @@ def _find_shaded(light, present) -> Bool[np.ndarray, " windows"]:
 
 
 def _with_neighbours(windows: Bool[np.ndarray, " windows"]) -> Bool[np.ndarray, " windows"]:
-    """Add the windows that touch some, round the iris and across it."""
-    rings = np.pad(windows.reshape(RINGS, ANGLES), ((0, 0), (1, 1)), mode="wrap")
-    return ndimage.binary_dilation(rings, np.ones((3, 3)))[:, 1:-1].ravel()
+    """Add the windows that touch some, across the iris and round it."""
+    edges: Any = "constant", "wrap"
+    return ndimage.maximum_filter(windows.reshape(RINGS, ANGLES), 3, mode=edges).ravel()
 
 
 def _tear_film(view: View, shape: tuple[int, int], environment: Environment | None):
@@ -383,14 +375,34 @@ def _tear_film(view: View, shape: tuple[int, int], environment: Environment | No
     return scatter_to_picture(mirror, reflectance, shape), scatter_to_picture(mirror, room, shape)
 
 
-def _windows_of_pixels(seen: IrisPixels, clear, eye: Eye):
-    """The number of each pixel's window, `COUNT` for none."""
+def _means_of_windows(windows, seen: IrisPixels):
+    """Number of pixels of each window, and a function for the mean of the values of a picture in
+    each.
+    """
+    inside = windows < COUNT
+    windows, numbers = windows[inside], project.pixel_numbers(seen)[inside]
+    count = np.bincount(windows, minlength=COUNT)
+
+    def mean(values, channels: int):
+        values = values.reshape(-1, channels)[numbers].T
+        sums = [np.bincount(windows, v, COUNT) for v in values]
+        return np.stack(sums, -1) / np.maximum(count, 1)[:, None]
+
+    return count, mean
+
+
+def _windows_of_pixels(seen: IrisPixels, clear: Mask | None, eye: Eye):
+    """The number of each pixel's window, `COUNT` for none; of clear pixels only, if these are
+    given.
+    """
     number = project.pixel_numbers(seen)
     x, y = map(np.asarray, seen.point[:2])
     r, around = ring_radius(eye, x, y), np.arctan2(y, x) % (2 * np.pi)
     inner = float(eye.pupil_radius) + MARGIN
     outer = min(float(eye.iris_radius), float(eye.limbus_radius)) - OUTER_MARGIN
-    usable = (number >= 0) & (r > inner) & (r < outer) & clear.reshape(-1)[number]
+    usable = (number >= 0) & (r > inner) & (r < outer)
+    if clear is not None:
+        usable &= clear.reshape(-1)[number]
     ring = np.minimum((r - inner) / (outer - inner) * RINGS, RINGS - 1).astype(int)
     sector = np.minimum(around / (2 * np.pi) * ANGLES, ANGLES - 1).astype(int)
     window = np.where(usable, ring * ANGLES + sector, COUNT)

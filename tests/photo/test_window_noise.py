@@ -42,16 +42,14 @@ def _rings(off):
 def _apart(off):
     """For each ring with windows, differences from its mean, decorrelated along rays, by the root
     of the covariance of the windows of each angle, which reach from the pupil without a gap, and
-    then round the iris, by that of a chain.
+    then, about their new mean, round the iris, by that of a chain.
     """
     present, by_ring = PRESENT.reshape(RINGS, ANGLES), off.reshape(RINGS, ANGLES, 3)
-    away = np.zeros_like(by_ring)
-    for ring in np.flatnonzero(present.any(1)):
-        there = present[ring]
-        away[ring, there] = by_ring[ring, there] - by_ring[ring, there].mean(0)
+    away = _about_the_mean(by_ring)
     for angle, count in enumerate(present.sum(0)):
         root = np.linalg.cholesky(linalg.toeplitz(ALONG_RAYS ** np.arange(count)))
         away[:count, angle] = np.linalg.solve(root, away[:count, angle])
+    away = _about_the_mean(away)
     for ring, there in enumerate(present):
         count = there.sum()
         if there.all():  # a chain without an end: its filter is circulant
@@ -64,16 +62,31 @@ def _apart(off):
     return [ring[there] for ring, there in zip(away, present, strict=True) if there.any()]
 
 
+def _about_the_mean(by_ring):
+    present, away = PRESENT.reshape(RINGS, ANGLES), np.zeros_like(by_ring)
+    for ring in np.flatnonzero(present.any(1)):
+        there = present[ring]
+        away[ring, there] = by_ring[ring, there] - by_ring[ring, there].mean(0)
+    return away
+
+
+def _correlations():
+    """Of the windows of a ring."""
+    apart = np.abs(np.subtract.outer(np.arange(ANGLES), np.arange(ANGLES)))
+    return ALONG_RINGS ** np.minimum(apart, ANGLES - apart)
+
+
 def _between(off, within, wider):
     """Covariance of the means of rings with windows, block by block."""
+    windows = [np.flatnonzero(there) for there in PRESENT.reshape(RINGS, ANGLES) if there.any()]
     rings, along = _rings(off), RESPONSE.reshape(RINGS, ANGLES, 3)[:, 0]
     seen = along[: len(rings)]
     blocks = [[WHOLE.thickness**2 * np.outer(a, b) + WHOLE.light**2 for b in seen] for a in seen]
-    for k, ring in enumerate(rings):
+    for k in range(len(rings)):
         own = RING.thickness**2 * np.outer(seen[k], seen[k]) + RING.light**2
         own += RING.channel**2 * np.eye(3)
-        of_mean = within[k] * (1 + ALONG_RINGS) / (1 - ALONG_RINGS) / len(ring)
-        blocks[k][k] += wider**2 * own + of_mean
+        of_mean = _correlations()[np.ix_(windows[k], windows[k])].mean()
+        blocks[k][k] += wider**2 * own + of_mean * within[k]
     return np.block(blocks)
 
 
@@ -124,6 +137,19 @@ def test_whitened_errors_have_the_density_of_their_covariances():
         direct += share * means @ np.linalg.solve(_between(off, within, wider), means)
     found = whitened(jnp.asarray(off), jnp.asarray(PRESENT), held)
     assert float((found**2).sum()) == pytest.approx(direct)
+
+
+def test_correlated_errors_become_as_many_independent_ones_as_there_are_windows():
+    """Less one for the mean of each ring: by the covariance of all, without a draw."""
+    one = jnp.broadcast_to(jnp.eye(3), (RINGS, 3, 3)), jnp.eye(3 * RINGS)
+    filtered = jax.jit(jax.jacobian(lambda off: whitened_errors(off, jnp.asarray(PRESENT), one)))
+    slope = np.asarray(filtered(jnp.zeros((COUNT, 3)))).reshape(-1, COUNT, 3)
+    rays = linalg.toeplitz(ALONG_RAYS ** np.arange(RINGS))
+    covariance = np.kron(rays, _correlations())
+    squares = np.einsum("ewc,wv,evc->e", slope, covariance, slope)[: 3 * COUNT]
+    counts = PRESENT.reshape(RINGS, ANGLES).sum(1)
+    found = squares.reshape(RINGS, -1).sum(1)
+    np.testing.assert_allclose(found, 3 * np.maximum(counts - 1, 0), atol=0.1)
 
 
 def _of_all(off):

@@ -167,9 +167,10 @@ def test_windows_in_the_shade_do_not_count():
     dark = np.argwhere(shaded.reshape(RINGS, ANGLES))
     ring, angle = np.indices((RINGS, ANGLES))
     beside = [(abs(ring - r) <= 1) & (abs((angle - a + 1) % ANGLES - 1) <= 1) for r, a in dark]
-    np.testing.assert_array_equal(
-        chosen(even, light=spotted).present, ~np.any(beside, axis=0).ravel()
-    )
+    lit = ~np.any(beside, axis=0).ravel()
+    np.testing.assert_array_equal(chosen(even, light=spotted).present, lit)
+    hidden = chosen(even, ~spot, light=spotted)  # shade that a highlight hides is shade
+    assert hidden.present.any() and not (hidden.present & ~lit).any()
 
 
 @pytest.mark.slow
