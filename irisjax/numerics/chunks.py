@@ -100,7 +100,8 @@ pixelwise = Pixelwise
 
 def on_cores(f: Callable[..., T], *arguments: Sequence[Any]) -> list[T]:
     """Apply `f` to the first of each sequence, to the second and so on, each on a thread of its own
-    in which `Pixelwise` functions use no others; the threads end with the call.
+    in which `Pixelwise` functions use no others; the threads end with the call. A single one, and
+    all where a `with` has changed JAX's settings for this thread alone, are done on this thread.
     """
     with ThreadPoolExecutor(len(arguments[0]), initializer=_use_one_thread) as pool:
         # A thread lacks the settings, float64 say, that a `with` made for its caller.

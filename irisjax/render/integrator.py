@@ -1,7 +1,7 @@
 """The interface of integrators: how the iris sends back the light that reaches it."""
 
 import abc
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 from jaxtyping import Array, Float
@@ -37,7 +37,14 @@ class AbstractResponse(eqx.Module):
 
 
 class AbstractIntegrator(eqx.Module):
-    """A method of computing the iris's radiance, with its settings; an immutable value."""
+    """A method of computing the iris's radiance, with its settings; an immutable value.
+
+    Attributes:
+        pixels_apart: Whether `illuminate` treats each pixel by itself, so that shares of them can
+            be drawn apart from one another.
+    """
+
+    pixels_apart: ClassVar[bool] = False
 
     @property
     @abc.abstractmethod

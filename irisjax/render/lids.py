@@ -33,7 +33,9 @@ from irisjax.tissue.pigments import extinction
 LASH = 0.015
 """Reflectance of a lash."""
 BOUNCE = 0.2
-"""Share of the light blocked by lids that their skin sends to the eye, times its reflectance."""
+"""Share of the light blocked by lids that a white skin would send to the eye; the reflectance of
+the skin multiplies it.
+"""
 _START_DEPTH = -3.0  # z at which the search along rays begins, in front of all but the brow, mm
 _GREEN = 560.0  # wavelength, nm
 _WRAP = 0.35  # cosine by which light reaches past the terminator of skin
@@ -92,11 +94,15 @@ def lid_colours(
     melanin.
     """
     kinds = (
-        (lids.melanin, 0.7 * lids.blood),
         (1.1 * lids.melanin, 3 * lids.blood),
         (0 * lids.melanin, 2.0 * lids.blood),
     )
-    return jnp.stack([skin_reflectance(wavelengths, *kind) for kind in kinds]) @ weights.T
+    flushed_and_wet = [skin_reflectance(wavelengths, *kind) for kind in kinds]
+    return jnp.stack([_pale_skin(lids, wavelengths), *flushed_and_wet]) @ weights.T
+
+
+def _pale_skin(lids: Lids, wavelengths: ArrayLike) -> Float[Array, " wavelengths"]:
+    return skin_reflectance(wavelengths, lids.melanin, 0.7 * lids.blood)
 
 
 def light_past_lids(visibility: Float[Array, "..."], lids: Lids) -> Float[Array, "..."]:
@@ -104,10 +110,10 @@ def light_past_lids(visibility: Float[Array, "..."], lids: Lids) -> Float[Array,
     block, and what their skin sends on.
 
     Approximation: light from the skin keeps the direction of the light that is blocked, and its
-    colour, by the skin's reflectance in the green. It is a tenth of what is blocked at most.
+    colour, by the skin's reflectance in the green. It is an eighth of what is blocked at most,
+    and of usual skin a fifteenth.
     """
-    skin = skin_reflectance(np.array([_GREEN]), lids.melanin, lids.blood)[0]
-    return visibility + BOUNCE * skin * (1 - visibility)
+    return visibility + BOUNCE * _pale_skin(lids, np.array([_GREEN]))[0] * (1 - visibility)
 
 
 def lash_coverage(eye: Eye, camera: Camera) -> Float[Array, " pixels"] | None:

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float, Int
 
 from irisjax.anatomy.eye import Cornea, Eye, Sclera
 from irisjax.anatomy.lids import Lids
-from irisjax.numerics.chunks import on_cores, pixelwise
+from irisjax.numerics.chunks import on_cores, pixelwise, share_count
 from irisjax.render import outside
 from irisjax.render.bands import Bands, colour_bands, spectral_bands
 from irisjax.render.environment import LUMINANCE
@@ -122,19 +122,28 @@ def draw(
 
 
 def draw_on_cores(
-    scene: Scene, tables: Illumination | None, response: AbstractResponse
+    scene: Scene,
+    tables: Illumination | None = None,
+    response: AbstractResponse | None = None,
+    model: IrisModel | None = None,
 ) -> Float[Array, "height width channels"]:
-    """Draw a scene as `draw` does, for many pictures from other places; not to be traced.
+    """Draw a scene as `draw` does, not to be traced. Each core draws a share of the pixels from
+    beginning to end if the integrator allows it, so that threads wait for one another only once.
 
-    Each core draws a share of the pixels that see each part of the eye, which takes three quarters
-    of the time of a function after the other on all cores.
+    A camera that moves changes none of the other arguments.
 
     Args:
         scene: The scene.
-        tables: `scene.tables()`.
+        tables: `scene.tables()`, which are computed where they are not given, as are the others.
         response: `respond(scene)`.
+        model: `iris_model(scene)`.
+
+    Returns:
+        The picture.
     """
-    model = iris_model(scene)
+    tables = scene.tables() if tables is None else tables
+    response = respond(scene) if response is None else response
+    model = iris_model(scene) if model is None else model
 
     def draw_share(trace: Callable[[], View]) -> Radiances:
         view = trace()
@@ -143,9 +152,17 @@ def draw_on_cores(
         parts = surrounding_parts(view, texels, scene)
         return parts | iris_part(view, texels, light, response)
 
-    shares = on_cores(draw_share, project_shares(scene.eye, scene.camera))
     size = scene.camera.size
-    return add_parts(dark(scene, size), shares, size)
+    return add_parts(black_picture(scene, size), on_cores(draw_share, trace_shares(scene)), size)
+
+
+def trace_shares(scene: Scene) -> list[Callable[[], View]]:
+    """Return `project_shares` in as many shares as there are threads for the picture; in one if the
+    integrator looks at all pixels.
+    """
+    rows, columns = scene.camera.shape
+    shares = share_count(rows * columns) if scene.integrator.pixels_apart else 1
+    return project_shares(scene.eye, scene.camera, shares)
 
 
 def texture(view: View, scene: Scene, model: IrisModel | None = None) -> Texels:
@@ -213,10 +230,10 @@ def light_on_iris(view: View, texels: Texels, scene: Scene, tables: Illumination
 
 def surroundings(view: View, texels: Texels, scene: Scene) -> Float[Array, "channels pixels"]:
     """Compute the radiance of everything but the iris: sclera, images in the tear film and lids."""
-    return add_parts(dark(scene, view.size), [surrounding_parts(view, texels, scene)])
+    return add_parts(black_picture(scene, view.size), [surrounding_parts(view, texels, scene)])
 
 
-def dark(scene: Scene, size: tuple[int, int]) -> Float[Array, "channels pixels"]:
+def black_picture(scene: Scene, size: tuple[int, int]) -> Float[Array, "channels pixels"]:
     """Return a picture of this width and height without any part, to which `add_parts` adds."""
     lamp = _unit_lamp(scene)
     return jnp.zeros((lamp.size, size[0] * size[1]), lamp.dtype)
@@ -224,7 +241,7 @@ def dark(scene: Scene, size: tuple[int, int]) -> Float[Array, "channels pixels"]
 
 def surrounding_parts(view: View, texels: Texels, scene: Scene) -> Radiances:
     """Compute `surroundings`, each part at its own pixels."""
-    lamp, eye, parts = _unit_lamp(scene), scene.eye, Radiances()
+    lamp, eye, parts = _unit_lamp(scene), scene.eye, dict[Any, Any]()
     skin, mirrored_lids, lights = None, None, None
     if eye.lids is not None or view.sclera is not None:
         lights = scene.all_lights(largest_polar=None)

@@ -16,7 +16,7 @@ from jaxtyping import Array, Bool, Float, Int, Int8, Shaped
 
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.media import TEAR
-from irisjax.numerics.chunks import pixelwise, share_count
+from irisjax.numerics.chunks import pixelwise
 from irisjax.numerics.interpolation import smoothstep
 from irisjax.optics.conicoid import (
     Parts,
@@ -183,22 +183,24 @@ def project_visible(eye: Eye, camera: Camera, *, once: bool = False) -> View:
             by less; and its programs do not depend on the picture's size. Most pictures share them,
             and to compile takes longer than to draw the padding.
     """
-    (trace,) = _project_shares(eye, camera, 1, once)
+    (trace,) = project_shares(eye, camera, 1, once=once)
     return trace()
 
 
-def project_shares(eye: Eye, camera: Camera) -> list[Callable[[], View]]:
-    """Find what each pixel of a camera sees, and share the pixels of each part out evenly, a share
-    for each of the processor's cores.
+def project_shares(
+    eye: Eye, camera: Camera, shares: int, *, once: bool = False
+) -> list[Callable[[], View]]:
+    """Find what each pixel of a camera sees, and divide the pixels of each part evenly.
+
+    Args:
+        eye: The eye.
+        camera: The camera.
+        shares: Number of shares.
+        once: As of `project_visible`.
 
     Returns:
         Functions that trace a share; radiances in these views add up to those of `project_visible`.
     """
-    rows, columns = camera.shape
-    return _project_shares(eye, camera, share_count(rows * columns), False)
-
-
-def _project_shares(eye: Eye, camera: Camera, shares: int, once: bool) -> list[Callable[[], View]]:
     rows, columns = camera.shape
     count, is_band = rows * columns, camera.rows is not None
     all_pixels = np.arange(count, dtype=np.int32)
@@ -232,7 +234,7 @@ def _project_shares(eye: Eye, camera: Camera, shares: int, once: bool) -> list[C
         # Padding to few different lengths saves compilations, for which a camera that turns would
         # wait. A band of a picture may see anything from no iris to iris alone: all bands are
         # padded to one length.
-        length = count if is_band else index.size
+        length = -(-count // shares) if is_band else index.size
         padding = 0, padded_length(length) - index.size
         traced = trace(np.pad(index, padding, mode="edge"), eye, rays)
         numbers = np.pad(index, padding, constant_values=-1)

@@ -4,6 +4,8 @@ ILIT's BRDF is separable: f(μ_i, μ_o, λ) = (1 − F(μ_i)) g(μ_o, λ), so th
 not depend on the response.
 """
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -35,6 +37,7 @@ class Separable(AbstractTabulated):
         solver: Solver of the texels, of ILIT.
     """
 
+    pixels_apart: ClassVar[bool] = True
     degrees: tuple[int, int, int, int, int] = eqx.field(static=True, default=(8, 5, 4, 4, 3))
     solver: AbstractSolver = eqx.field(default_factory=lambda: IlitExact(20))
 

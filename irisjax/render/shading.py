@@ -64,17 +64,14 @@ class IrisModel(NamedTuple):
 
     def with_relief(self) -> "IrisModel":
         """Compute the relief's field once for many views."""
-        if self.maps is None or self.maps.relief is None:
+        if self.relief is not None or self.maps is None or self.maps.relief is None:
             return self
         return self._replace(relief=relief_field(self.maps.relief, self.eye))
 
     def facing(self, pixels: IrisPixels) -> Facing | None:
         """Compute how the relief turns the iris at pixels; `None` without a relief."""
-        if self.relief is not None:
-            return facing_at(pixels, self.eye, self.relief)
-        if self.maps is None or self.maps.relief is None:
-            return None
-        return self.with_relief().facing(pixels)
+        relief = self.with_relief().relief
+        return None if relief is None else facing_at(pixels, self.eye, relief)
 
 
 def flux_at(

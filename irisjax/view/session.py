@@ -13,7 +13,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from irisjax.anatomy.eye import Eye
 from irisjax.io.scenes import in_degrees
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import check_known
@@ -27,15 +26,16 @@ from irisjax.render.picture import (
     Radiances,
     Texels,
     add_parts,
-    dark,
+    black_picture,
     iris_model,
     iris_part,
     light_on_iris,
     respond,
     surrounding_parts,
     texture,
+    trace_shares,
 )
-from irisjax.render.project import View, project, project_shares
+from irisjax.render.project import View, project
 from irisjax.render.scene import Scene
 from irisjax.render.shading import IrisModel
 
@@ -194,10 +194,10 @@ class Session(abc.ABC, Generic[S]):
     def _drawn(self, kept: KeptPicture, s: S, draft: bool) -> tuple[np.ndarray, float | None]:
         scene = self._set(s, self._size(draft))
         # The view depends neither on the pupil nor on light. A draft projects all pixels:
-        # `project_shares` selects those of each part, and a new number of them compiles a new
+        # `trace_shares` selects those of each part, and a new number of them compiles a new
         # program, which would interrupt the dragging of the camera.
-        seen, see = values_of(s, CAMERA), _projected if draft else project_shares
-        tracers = kept.tracers.of(seen, lambda: see(scene.eye, scene.camera))
+        seen = *values_of(s, CAMERA), scene.integrator.pixels_apart
+        tracers = kept.tracers.of(seen, lambda: (_projected if draft else trace_shares)(scene))
         kept.shares += [KeptShare() for _ in range(len(tracers) - len(kept.shares))]
         surfaces = values_of(s, (*CAMERA, "environment", "strength", *self._SURFACES))
         grazing = self._grazing.of(values_of(s, LIGHT), scene.grazing)
@@ -216,7 +216,7 @@ class Session(abc.ABC, Generic[S]):
         shares = on_cores(draw_share, kept.shares[: len(tracers)], tracers)
         outside, iris = ([share[i] for share in shares] for i in (0, 1))
         size = scene.camera.size
-        surroundings = kept.around.of(lit, lambda: add_parts(dark(scene, size), outside))
+        surroundings = kept.around.of(lit, lambda: add_parts(black_picture(scene, size), outside))
         picture = encoded(add_parts(surroundings, iris, size), s.exposure)
         return picture, None if response.error is None else float(response.error)
 
@@ -285,8 +285,8 @@ def encoded(picture: Any, exposure: float) -> np.ndarray:
     return np.asarray(_encoded(picture, jnp.asarray(exposure, picture.dtype)))
 
 
-def _projected(eye: Eye, camera: Camera) -> list[Callable[[], View]]:
-    return [lambda: _compiled_project(eye, camera)]
+def _projected(scene: Scene) -> list[Callable[[], View]]:
+    return [lambda: _compiled_project(scene.eye, scene.camera)]
 
 
 _compiled_project = eqx.filter_jit(project)

@@ -13,7 +13,7 @@ from common import operations, quick_jit
 from irisjax.anatomy.sclera import sclera_centre
 from irisjax.grow.lids import lids
 from irisjax.numerics.strokes import stamp_strokes, stroke_sections
-from irisjax.render.lids import lid_visibility, light_past_lids, skin_reflectance
+from irisjax.render.lids import lid_visibility, skin_reflectance
 from irisjax.render.lights import Lights
 from irisjax.render.picture import (
     draw_on_cores,
@@ -22,6 +22,7 @@ from irisjax.render.picture import (
     shade,
     surroundings,
     texture,
+    trace_shares,
 )
 from irisjax.render.project import project, project_visible, scatter_to_picture
 from irisjax.render.scene import Scene
@@ -94,17 +95,15 @@ def test_lids_keep_light_from_above_from_the_eye():
 
 
 def test_skin_sends_little_of_the_light_that_lids_block_to_the_iris():
-    """Dark skin less; where nothing is blocked nothing is added."""
-    visibility = jnp.asarray([0.0, 1.0])
-    pale, dark = (
-        np.asarray(
-            quick_jit(light_past_lids)(
-                visibility, dataclasses.replace(EYE.lids, melanin=jnp.asarray(melanin))
-            )
-        )
-        for melanin in (0.015, 0.3)
-    )
-    assert 0 < 3 * dark[0] < pale[0] < 0.11 and dark[1] == pale[1] == 1
+    """Under the upper lid, in light from above; dark skin less, and nothing more elsewhere."""
+    lamp, polar = Lights.distant(np.radians(80), np.pi / 2), np.radians([0.0])
+    flux = quick_jit(lambda eye, lamp: jnp.abs(incident_flux(lamp, eye, None, size=5)))
+    dark = EYE.replace(lids=dataclasses.replace(EYE.lids, melanin=jnp.asarray(0.3)))
+    bare, pale, dark = (np.asarray(flux(eye, lamp))[0, 2] for eye in (BARE, EYE, dark))
+    share, less = (lidded[-1, 2] / bare[-1, 2] for lidded in (pale, dark))  # at the top
+    assert 0 < 3 * less < share < 0.125
+    ahead = [np.asarray(flux(eye, Lights.distant(polar, 0.0)))[0, 2, 2, 2] for eye in (BARE, EYE)]
+    assert ahead[1] == pytest.approx(ahead[0], rel=0.02)
 
 
 def _of(lamps):
@@ -146,7 +145,9 @@ def test_shares_of_the_pixels_make_the_same_picture(seen, monkeypatch):
     whole = shade(seen, texels, illuminate(seen, texels, scene, tables), response)
     monkeypatch.setattr("irisjax.numerics.chunks._FEW", 1)
     monkeypatch.setattr("os.sched_getaffinity", lambda _: range(4), raising=False)
+    assert len(trace_shares(scene)) == 4
     np.testing.assert_array_equal(draw_on_cores(scene, tables, response), whole)
+    assert len(trace_shares(scene.replace(integrator=ij.RadiativeIntegrator()))) == 1
 
 
 def test_absent_lids_cost_nothing():

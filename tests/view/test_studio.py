@@ -24,7 +24,7 @@ def counted(monkeypatch):
     """How often each function of a picture was computed."""
     return counting(
         monkeypatch,
-        **dict.fromkeys(("project_visible", "texture", "illuminate", "respond"), session),
+        **dict.fromkeys(("trace_shares", "texture", "light_on_iris", "respond"), session),
     )
 
 
@@ -67,7 +67,20 @@ def test_drafts_are_kept_apart(bare, counted):
     fine = found.update()
     assert found.update(draft=True).shape == (3, 4, 3)
     np.testing.assert_array_equal(found.update(), fine)
-    assert counted == {"project_visible": 1, "texture": 2, "illuminate": 2, "respond": 1}
+    assert counted == {"trace_shares": 1, "texture": 2, "light_on_iris": 2, "respond": 1}
+
+
+def test_shares_of_the_pixels_show_the_same(bare, monkeypatch):
+    """Of a camera that moves, and of pigments that change on what is kept of it."""
+    changes = {}, {"camera_polar": 30.0}, {"eumelanin": 0.3}
+    whole, shared = Studio(bare), Studio(bare)
+    expected = [whole.update(**change) for change in changes]
+    monkeypatch.setattr("irisjax.numerics.chunks._FEW", 1)
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: range(2), raising=False)
+    counts = counting(monkeypatch, iris_part=session)
+    for change, picture in zip(changes, expected, strict=True):
+        np.testing.assert_array_equal(shared.update(**change), picture)
+    assert counts["iris_part"] == 2 * len(changes)
 
 
 def test_a_preset_brings_its_pigments(bare, monkeypatch):
