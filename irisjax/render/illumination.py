@@ -94,7 +94,8 @@ class Illumination(eqx.Module):
             low, high = (
                 jax.lax.dynamic_index_in_dim(self.flux, below + k, keepdims=False) for k in (0, 1)
             )
-            layer = low + jnp.clip(index - below, 0, 1) * (high - low)
+            # No `clip`: at a whole index, where its argument is 0, it would halve the derivative.
+            layer = low + jnp.minimum(index - below, 1) * (high - low)
             flux = multilinear(layer, position)
         else:
             flux = multilinear(self.flux, (index, *position))

@@ -171,6 +171,22 @@ def test_counted_rays_light_the_rim_to_its_edge(illumination):
     assert found == pytest.approx(true, rel=0.05)
 
 
+def test_light_has_its_derivative_by_the_angle_at_tabulated_angles_too():
+    """Between those of both sides: flux of a table whose layers rise by more and more."""
+    rows = jnp.broadcast_to(jnp.arange(60.0)[:, None, None, None] ** 2, (60, 3, 3, 3))
+    table, middle = Illumination(rows, jnp.asarray(5.5), 2.0), jnp.zeros(2)
+
+    def flux(polar):
+        light = jnp.stack([jnp.sin(polar), jnp.zeros_like(polar), -jnp.cos(polar)])
+        return table.at(middle, light)[2]
+
+    polar, step = 0.05 * np.arange(4, 20), 1e-4
+    values = jax.jit(jax.vmap(jax.value_and_grad(flux)))
+    (now, slope), (later, _), (earlier, _) = (values(polar + s) for s in (0, step, -step))
+    before, after = (now - earlier) / step, (later - now) / step
+    assert ((0.999 * before < slope) & (slope < 1.001 * after)).all()
+
+
 def test_light_from_behind_fades_out(illumination):
     without = Illumination(illumination.flux[:53], illumination.extent, UNIQUE_POLAR)
     for tables, largest in ((without, 1.40), (illumination, 2.25)):
