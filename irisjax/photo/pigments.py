@@ -126,8 +126,9 @@ fibres and the gaps between them run radially through several rings, and sectors
 window. Correlations are 0.5 and 0.35 in six photographs of people, 0.65 and 0.15 in irides of
 `procedural`. Taken for independent, a bright sector looks like light from its side.
 """
-_APART = np.minimum(np.arange(ANGLES), ANGLES - np.arange(ANGLES))
-_ROUND = scipy_linalg.circulant(ALONG_RINGS**_APART)  # correlations of the windows of a ring
+_RING_CORRELATION = scipy_linalg.circulant(
+    ALONG_RINGS ** np.minimum(np.arange(ANGLES), ANGLES - np.arange(ANGLES))
+)
 
 
 class PigmentFit(NamedTuple):
@@ -606,8 +607,10 @@ def _error_levels(log_ratios, response, present):
     # Variance of a mean. Means of neighbouring rings are correlated too, which is little beside
     # `RING`.
     counted = jnp.asarray(present, within.dtype).reshape(RINGS, ANGLES)
-    share = jnp.einsum("ra,ab,rb->r", counted, _ROUND, counted) / jnp.maximum(number, 1) ** 2
-    own = within * share[:, None, None]
+    factor = (
+        jnp.einsum("ra,ab,rb->r", counted, _RING_CORRELATION, counted) / jnp.maximum(number, 1) ** 2
+    )
+    own = within * factor[:, None, None]
     own = (
         jnp.asarray(SPREAD_FACTORS**2)[:, None, None, None] * covariance_of(RING)[rings, rings]
         + own
@@ -654,7 +657,9 @@ def _in_rings(values, present):
 
 
 def _unexplained(values, neighbours, seen, correlation: float):
-    """What the neighbours that are seen do not tell of values, scaled to the same variance."""
+    """Subtract from values what the neighbours that are seen tell of them; the rest is scaled to
+    the same variance.
+    """
     rest = (values - correlation * neighbours) / math.sqrt(1 - correlation**2)
     return jnp.where(seen, rest, values)
 

@@ -252,7 +252,9 @@ def choose_pixels(
     iris = view.iris
     if iris is None:
         raise ValueError("the camera does not see the iris")
-    windows = _windows_of_pixels(iris, clear, eye)
+    everywhere = _windows_of_pixels(iris, eye)
+    is_clear = clear.reshape(-1)[project.pixel_numbers(iris)]
+    windows = _with_enough_pixels(np.where(is_clear, everywhere, COUNT))
     index, window = _sample_windows(windows)
     sampled = dataclasses.replace(iris, index=None)
     sampled = jax.tree.map(lambda leaf: jnp.asarray(np.asarray(leaf)[index]), sampled)
@@ -261,7 +263,7 @@ def choose_pixels(
     if light is None:
         shaded = _find_shaded(colour @ LUMINANCE_WEIGHTS, count > 0)
     else:  # known where a window is hidden, too
-        number, mean_light = _means_of_windows(_windows_of_pixels(iris, None, eye), iris)
+        number, mean_light = _means_of_windows(_with_enough_pixels(everywhere), iris)
         shaded = _with_neighbours(_find_shaded(mean_light(light, 1)[:, 0], number > 0))
     present = (count > 0) & ~shaded
     if present.sum() < 6:
@@ -391,21 +393,21 @@ def _means_of_windows(windows, seen: IrisPixels):
     return count, mean
 
 
-def _windows_of_pixels(seen: IrisPixels, clear: Mask | None, eye: Eye):
-    """The number of each pixel's window, `COUNT` for none; of clear pixels only, if these are
-    given.
-    """
+def _windows_of_pixels(seen: IrisPixels, eye: Eye):
+    """The number of each pixel's window, `COUNT` for none."""
     number = project.pixel_numbers(seen)
     x, y = map(np.asarray, seen.point[:2])
     r, around = ring_radius(eye, x, y), np.arctan2(y, x) % (2 * np.pi)
     inner = float(eye.pupil_radius) + MARGIN
     outer = min(float(eye.iris_radius), float(eye.limbus_radius)) - OUTER_MARGIN
     usable = (number >= 0) & (r > inner) & (r < outer)
-    if clear is not None:
-        usable &= clear.reshape(-1)[number]
     ring = np.minimum((r - inner) / (outer - inner) * RINGS, RINGS - 1).astype(int)
     sector = np.minimum(around / (2 * np.pi) * ANGLES, ANGLES - 1).astype(int)
-    window = np.where(usable, ring * ANGLES + sector, COUNT)
+    return np.where(usable, ring * ANGLES + sector, COUNT)
+
+
+def _with_enough_pixels(window):
+    """Give the pixels of windows that have too few of them the number of none."""
     enough = np.bincount(window, minlength=COUNT + 1) >= _LEAST_PIXELS
     return np.where(enough[window], window, COUNT)
 

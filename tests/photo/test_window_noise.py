@@ -71,7 +71,7 @@ def _about_the_mean(by_ring):
 
 
 def _correlations():
-    """Of the windows of a ring."""
+    """Return the correlations of the errors of the windows of a ring."""
     apart = np.abs(np.subtract.outer(np.arange(ANGLES), np.arange(ANGLES)))
     return ALONG_RINGS ** np.minimum(apart, ANGLES - apart)
 

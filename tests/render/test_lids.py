@@ -95,7 +95,9 @@ def test_lids_keep_light_from_above_from_the_eye():
 
 
 def test_skin_sends_little_of_the_light_that_lids_block_to_the_iris():
-    """Under the upper lid, in light from above; dark skin less, and nothing more elsewhere."""
+    """The iris gets it under the upper lid, in light from above. Dark skin sends less, and where
+    no lid is in the way nothing is added.
+    """
     lamp, polar = Lights.distant(np.radians(80), np.pi / 2), np.radians([0.0])
     flux = quick_jit(lambda eye, lamp: jnp.abs(incident_flux(lamp, eye, None, size=5)))
     dark = EYE.replace(lids=dataclasses.replace(EYE.lids, melanin=jnp.asarray(0.3)))

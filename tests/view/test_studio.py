@@ -71,7 +71,9 @@ def test_drafts_are_kept_apart(bare, counted):
 
 
 def test_shares_of_the_pixels_show_the_same(bare, monkeypatch):
-    """Of a camera that moves, and of pigments that change on what is kept of it."""
+    """Pictures are those of one share: the first, one by a camera that has moved, and one of other
+    pigments on what is kept of its view.
+    """
     changes = {}, {"camera_polar": 30.0}, {"eumelanin": 0.3}
     whole, shared = Studio(bare), Studio(bare)
     expected = [whole.update(**change) for change in changes]
