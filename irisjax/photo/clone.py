@@ -23,7 +23,14 @@ from irisjax.anatomy.eye import EYE_LIMITS, Cornea, Eye, Sclera, sclera_of
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_known
 from irisjax.photo import pigments, texels
-from irisjax.photo.light import Lighting, find_lighting, find_shade, find_veil, irradiance_of_iris
+from irisjax.photo.light import (
+    SHADED,
+    Lighting,
+    find_lighting,
+    find_shade,
+    find_veil,
+    irradiance_of_iris,
+)
 from irisjax.photo.masks import cut_part, find_mirrored_face, part_geometry
 from irisjax.photo.outlines import Boundaries, find_boundaries
 from irisjax.photo.photograph import Colours, Ellipse, Mask, Photograph
@@ -561,7 +568,9 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     alone = light.lamps is None and not light.room and lit.veil is not None
     pixels = lit.unveiled() if alone else lit.part
     around = None if alone or light.room else light.environment
-    chosen = choose_pixels(pixels, clear, lit.view, eye, around, _light_on_part(lit))
+    # Where lids shade the iris, its light is not known.
+    known_light = None if lit.lids or lit.view.iris is None else _light_on_iris(lit)
+    chosen = choose_pixels(pixels, clear, lit.view, eye, around, known_light)
     maps = average_maps(eye) if given.maps is None else given.maps
     depth = jnp.mean(jnp.asarray(maps.stroma_depth))
     base = usual_iris(depth)
@@ -641,13 +650,15 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
     ring = scatter_to_picture(seen, ring_radius(eye, x, y), shape)
     clear = shown & (ring > float(eye.pupil_radius + eye.pupil_margin))
     usual = np.log(generic_thickness(radius) / float(fitted.base.stroma_thickness))
+    light = _light_on_iris(fitted, fitted.fit.values["room"] if fitted.lighting.room else 0.0)
+    shaded = clear & (light < SHADED * np.median(light[clear])) if clear.any() else ~clear
     # Windows tell the colours of rings. Of the maxima that explain these, the highest is taken
     # whose iris can make the colours of pixels too, or else the one that is nearest to them.
     trials = []
     for fit in fitted.fit.maxima():
         trial = fitted.with_fit(fit)
         known = trial.scene_with(None), trial.view, trial.tables, trial.exposure
-        coarse = texels.solve_coarse(_iris_light(trial), clear, usual, *known)
+        coarse = texels.solve_coarse(_iris_light(trial), clear, shaded, usual, *known)
         trials.append((trial, coarse))
         if coarse.is_within:
             break
@@ -767,13 +778,13 @@ def _with_soft_edges(pose: Pose, outlines: Boundaries) -> Eye:
     return eye
 
 
-def _light_on_part(lit: Lit) -> np.ndarray | None:
-    """Irradiance of the iris by lamps at each pixel of the part; not known where lids shade it."""
+def _light_on_iris(lit: Lit, room: float = 0.0) -> np.ndarray:
+    """Irradiance of the iris at each pixel of the part, by lamps and a room of some radiance."""
     seen = lit.view.iris
-    if lit.lids or seen is None:
-        return None
+    assert seen is not None
     x, y = map(np.asarray, seen.point[:2])
-    irradiance = irradiance_of_iris(x, y, lit.lighting.lights(), lit.pose.eye, lit.tables)
+    lights, eye = lit.lighting.lights(), lit.pose.eye
+    irradiance = irradiance_of_iris(x, y, lights, room, eye, lit.tables)
     return scatter_to_picture(seen, irradiance, lit.pose.camera.shape)
 
 

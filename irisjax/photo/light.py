@@ -228,13 +228,21 @@ def find_veil(
 
 
 def irradiance_of_iris(
-    x: np.ndarray, y: np.ndarray, lights: Lights, eye: Eye, tables: Illumination | None
+    x: np.ndarray,
+    y: np.ndarray,
+    lights: Lights,
+    room: float,
+    eye: Eye,
+    tables: Illumination | None,
 ) -> np.ndarray:
-    """Return the irradiance of the iris at places of its plane (mm), in the chamber."""
+    """Return the irradiance of the iris at places of its plane (mm), in the chamber, by lamps and a
+    room of some radiance all round.
+    """
     flux = np.asarray(incident_flux(lights, eye, tables))[:, 2].sum(0)
     middle, reach = (len(flux) - 1) / 2, float(eye.iris_radius)
     # Rows of the grid run up, as y does.
-    return sampled(flux.astype(np.float32), *((c / reach + 1) * middle for c in (y, x)))
+    of_lamps = sampled(flux.astype(np.float32), *((c / reach + 1) * middle for c in (y, x)))
+    return of_lamps + np.float32(np.pi * _CORNEAL_GAIN * room)
 
 
 def find_shade(
@@ -245,9 +253,7 @@ def find_shade(
     Beside the lights there may be a `room` of some radiance all round.
     """
     radius, angle = texture.radius(), texture.angle()
-    irradiance = irradiance_of_iris(
-        radius * np.cos(angle), radius * np.sin(angle), lights, eye, tables
-    )
-    irradiance += np.float32(np.pi * _CORNEAL_GAIN * room)
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    irradiance = irradiance_of_iris(x, y, lights, room, eye, tables)
     median = np.median(irradiance[texture.valid]) if texture.valid.any() else 0.0
     return irradiance < SHADED * median

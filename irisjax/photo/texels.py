@@ -66,6 +66,7 @@ _LONGEST, _DAMPING = 1.5, 1e-3  # longest step of a logarithm; damping of the fi
 # Share of pixels `OUTSIDE` up to which no other exposure is wanted. So many may be lamps and lashes
 # that the mask has missed, to which no exposure belongs: the errors of a few decide their RMS.
 _ENOUGH = 0.03
+_SHADED = 0.1  # share in the shade from which a coarsest pixel does not count
 _BRIGHTNESS = 6.0  # weight of the mean of the channels' errors beside their own
 _COLOURS = 9  # logarithm to base 2 of the number of colours at which the search begins
 _ROWS, _ROWS_COARSEST = 1 << 13, 1 << 10  # pixels solved at a time
@@ -202,6 +203,7 @@ class Coarse(NamedTuple):
 def solve_coarse(
     target: Colours,
     known: Mask,
+    shaded: Mask,
     usual: Brightness,
     scene: Scene,
     view: View,
@@ -213,6 +215,8 @@ def solve_coarse(
     Args:
         target: Radiance of the iris in the photograph, under the fitted exposure.
         known: Pixels that show the iris and nothing else, whose numbers are sought.
+        shaded: Pixels in a shadow, whose edge the model knows to a few degrees only: the coarsest
+            ones do not count, since their colours would ask for another exposure.
         usual: Logarithm of the stroma's usual thickness there over that of the scene's iris.
         scene: The scene of the global fit, without maps.
         view: What its camera sees.
@@ -244,8 +248,12 @@ def solve_coarse(
     logs = np.stack([usual, 0 * usual, 0 * usual], -1)
     target, functions, logs = (np.asarray(x, np.float32) for x in (target, functions, logs))
     levels = [Seen(target, functions, logs, known)]
+    share = shaded[..., None].astype(np.float32)
     for _ in _STEPS[1:]:
         levels.append(_halved(levels[-1]))
+        share = half_size(share)
+    lit = levels[-1].known & (share[..., 0] < _SHADED)
+    levels[-1] = levels[-1]._replace(known=lit if lit.any() else levels[-1].known)
     factors = factors_within_table(scene)
     gain, local = find_gain(levels[-1], respond(factors), exposure)
     return Coarse(scene, seen, exposure, illumination, levels, respond, factors, gain, local)

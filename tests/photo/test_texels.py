@@ -82,9 +82,11 @@ def radii():
     return scatter_to_picture(iris, np.hypot(*map(np.asarray, iris.point[:2])), SHAPE)
 
 
-def coarse(picture, known, iris=BASE, exposure=EXPOSURE):
+def coarse(picture, known, iris=BASE, exposure=EXPOSURE, shaded=None):
     scene = scene_with(None).replace(iris=iris)
-    return solve_coarse(picture, known, np.zeros(SHAPE), scene, view(bare=True), None, exposure)
+    shaded = np.zeros(SHAPE, bool) if shaded is None else shaded
+    numbers = shaded, np.zeros(SHAPE), scene, view(bare=True), None, exposure
+    return solve_coarse(picture, known, *numbers)
 
 
 def solved(reflection: bool, wrong: float = 0.0):
@@ -109,6 +111,16 @@ def test_an_iris_whose_epithelium_is_black_cannot_have_these_colours():
     right, wrong = (coarse(drawn(), known, iris) for iris in (BASE, black))
     assert right.is_within and not wrong.is_within
     assert wrong.error > 5 * right.error
+
+
+def test_pixels_in_a_shadow_do_not_ask_for_another_exposure():
+    """Light that the model has not falls on the shaded edge of an iris, in colours of no iris."""
+    radius = radii()
+    known = (radius > float(BARE.pupil_radius) + 0.2) & (radius < 5.2)
+    edge = known & (np.indices(SHAPE)[1] < 24)
+    lit = drawn() + np.where(edge[..., None], np.array([0.02, 0.05, 0.4]), 0.0)
+    assert not coarse(lit, known).is_within
+    assert coarse(lit, known, shaded=edge).is_within
 
 
 def _encoded(picture):
