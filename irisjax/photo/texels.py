@@ -55,6 +55,12 @@ OUTSIDE = 0.04
 """Error of an encoded channel above which a colour is none that the model can make."""
 GAINS = (1.0, 2.0, 0.5, 4.0, 8.0)
 """Factors on the fitted exposure that are tried, the likely ones first."""
+PROCESS_DOUBT = np.array([[0.36, -0.22, -0.01], [-0.22, 0.78, -0.15], [-0.01, -0.15, 0.20]])
+"""Mean products of the errors of the logarithms of `NAMES` by the choice of the process: colours of
+irides of the priors of `photo.pigments`, by radiative transfer, read by ILIT
+(experiments/texels_by_process.py). In the median ILIT finds 0.56 times the strength of the stroma
+and 1.4 times the eumelanin. Nothing in a colour tells which process made it.
+"""
 _PRIOR = 1.5  # standard deviation of the logarithms about the fitted iris, at the coarsest level
 _FINER = 0.5  # of those between a level and the next coarser one
 _STEPS = 12, 5, 4, 4  # most of Levenberg and Marquardt at each level, from the coarsest
@@ -83,9 +89,9 @@ class OwnPigments(NamedTuple):
         maps: Thickness of the stroma, eumelanin, pheomelanin and residual.
         deviations: Standard deviations of the logarithms of `NAMES`, (3, angles, radii): by the
             photograph's noise, the prior about the fitted iris and about the neighbourhood, and the
-            doubt about the exposures.
-        common: The part of `deviations` that is by the exposures, median of all texels: an error
-            that they have in common.
+            doubts about the exposures and the process (`PROCESS_DOUBT`).
+        common: The part of `deviations` that is by the exposures and the process, median of all
+            texels: an error that they have in common.
         correlation: Median correlation of the errors of each pair of `NAMES`, (3, 3).
         hidden: Cells that the photograph does not show, (angles, radii), filled from beside.
         outside: Share of pixels whose colour is none that the model can make.
@@ -264,6 +270,7 @@ def colour_iris(
     shown: Mask,
     doubt: Float[np.ndarray, "3 3"],
     cells_of: Callable[[tuple[int, int]], Refraction],
+    processes: Float[np.ndarray, "3 3"] = PROCESS_DOUBT,
 ) -> OwnPigments:
     """Solve the texels of an iris.
 
@@ -273,6 +280,7 @@ def colour_iris(
             pupil.
         doubt: Covariance of the logarithms of the exposures.
         cells_of: Returns where the middles of so many angles and radii of cells appear.
+        processes: Covariance of the logarithms of `NAMES` by the choice of the process.
     """
     scene, seen, exposure, illumination, levels, respond, factors, gain, coarsest = coarse
     target, _, _, known = levels[0]
@@ -326,15 +334,18 @@ def colour_iris(
     residual = polar(np.log(np.clip(ratio, KEPT.low, KEPT.high)), shown)
     filled = fill_by_texture(np.concatenate([logs, residual]), hidden)
     maps = maps_of(np.clip(filled[: len(NAMES)], low, high), filled[len(NAMES) :])
-    variances = np.einsum("...ii->...i", local.covariance)
-    sds = np.sqrt(np.maximum(variances, 1e-12))
-    correlation = local.covariance / (sds[..., None] * sds[..., None, :])
+    covariance = local.covariance[known] + processes
+    sds = np.sqrt(np.einsum("...ii->...i", covariance))
+    correlation = np.median(covariance / (sds[:, :, None] * sds[:, None]), axis=0)
+    sds[:, 1:] = np.sqrt(sds[:, 1:] ** 2 + _variance_by_exchange(covariance[:, 1:, 1:]))
+    deviations = np.zeros((*shape, len(NAMES)), np.float32)
+    deviations[known] = sds
     return OwnPigments(
         iris,
         maps,
-        polar(sds, known),
-        np.sqrt(np.median(local.common[known], axis=0)),
-        np.median(correlation[known], axis=0),
+        polar(deviations, known),
+        np.sqrt(np.median(local.common[known], axis=0) + np.diag(processes)),
+        correlation,
         hidden,
         float((np.abs(off).max(-1) > OUTSIDE).mean()),
         float(explained),
@@ -342,6 +353,24 @@ def colour_iris(
         response.error,
         illumination,
     )
+
+
+def _variance_by_exchange(
+    covariance: Float[np.ndarray, "texels 2 2"],
+) -> Float[np.ndarray, "texels 2"]:
+    """Return what the normal approximation lacks of the variances of the melanins' logarithms.
+
+    The two absorb alike. If one is a standard deviation more or less than was found, the other
+    makes up for it linearly in its concentration, down to nothing, not in its logarithm.
+    """
+    variances = np.einsum("...ii->...i", covariance)
+    slopes = np.maximum(-covariance[:, :1, 1] / variances[:, ::-1], 0)
+    other = np.sqrt(variances[:, ::-1])
+    squares = [
+        np.log(np.maximum(1 + slopes * (1 - np.exp(side * other)), np.exp(-2 * _PRIOR))) ** 2
+        for side in (-1, 1)
+    ]
+    return np.maximum(np.mean(squares, axis=0) - slopes**2 * other**2, 0)
 
 
 def moved_iris(iris: Iris, factors: Float[np.ndarray, "3"]) -> Iris:
