@@ -8,6 +8,7 @@ with the photograph's own light. What it cannot say stays as a map of its own.
 """
 
 import functools
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
@@ -72,6 +73,7 @@ _LONGEST, _DAMPING = 1.5, 1e-3  # longest step of a logarithm; damping of the fi
 # Share of pixels `OUTSIDE` up to which no other exposure is wanted. So many may be lamps and lashes
 # that the mask has missed, to which no exposure belongs: the errors of a few decide their RMS.
 _ENOUGH = 0.03
+_TRIED = 1024  # most coarsest pixels that decide on the exposure and between maxima
 _SHADED = 0.1  # share in the shade from which a coarsest pixel does not count
 _BRIGHTNESS = 6.0  # weight of the mean of the channels' errors beside their own
 _COLOURS = 9  # logarithm to base 2 of the number of colours at which the search begins
@@ -182,7 +184,8 @@ class Coarse(NamedTuple):
         respond: Returns the response over ranges, of the scene or of another.
         factors: Ranges that may be asked for.
         gain: Factor on the exposures.
-        local: The numbers of the coarsest pixels.
+        tried: The coarsest pixels that were solved: all, or as many as decide.
+        local: Their numbers.
     """
 
     scene: Scene
@@ -193,17 +196,18 @@ class Coarse(NamedTuple):
     respond: Callable[..., TexelResponse]
     factors: Scales
     gain: float
+    tried: Mask
     local: Local
 
     @property
     def error(self) -> float:
         """Root mean square of model less photograph, encoded."""
-        return _rms(self.local.off[self.levels[-1].known])
+        return _rms(self.local.off[self.tried])
 
     @property
     def is_within(self) -> bool:
         """Whether the model can make the colours, under the exposures that were given."""
-        return self.gain == 1 and _are_within(self.local.off[self.levels[-1].known])
+        return self.gain == 1 and _are_within(self.local.off[self.tried])
 
 
 def solve_coarse(
@@ -261,8 +265,10 @@ def solve_coarse(
     lit = levels[-1].known & (share[..., 0] < _SHADED)
     levels[-1] = levels[-1]._replace(known=lit if lit.any() else levels[-1].known)
     factors = factors_within_table(scene)
-    gain, local = find_gain(levels[-1], respond(factors), exposure)
-    return Coarse(scene, seen, exposure, illumination, levels, respond, factors, gain, local)
+    tried = levels[-1]._replace(known=_some_of(levels[-1].known))
+    gain, local = find_gain(tried, respond(factors), exposure)
+    found = gain, tried.known, local
+    return Coarse(scene, seen, exposure, illumination, levels, respond, factors, *found)
 
 
 def colour_iris(
@@ -282,11 +288,11 @@ def colour_iris(
         cells_of: Returns where the middles of so many angles and radii of cells appear.
         processes: Covariance of the logarithms of `NAMES` by the choice of the process.
     """
-    scene, seen, exposure, illumination, levels, respond, factors, gain, coarsest = coarse
+    scene, seen, exposure, illumination, levels, respond, factors, gain, tried, coarsest = coarse
     target, _, _, known = levels[0]
     shape, iris = known.shape, scene.tissue
     integrator: Any = scene.integrator
-    response = respond(ranges_about(coarsest, levels[-1].known, factors))
+    response = respond(ranges_about(coarsest, tried, factors))
     logs, before = solve_levels(levels, response, exposure, gain)
     middle = np.median(logs[known], axis=0)
     iris = moved_iris(iris, np.exp(middle))
@@ -647,6 +653,12 @@ def _inverse(a):
 
     cofactors = jnp.stack([jnp.stack([minor(i, j) for j in range(3)]) for i in range(3)])
     return cofactors / (a[0] * cofactors[0]).sum(0)
+
+
+def _some_of(known: Mask) -> Mask:
+    """At most `_TRIED` of the pixels, evenly."""
+    step = max(math.ceil(known.sum() / _TRIED), 1)
+    return known & (np.cumsum(known).reshape(known.shape) % step == 0)
 
 
 def _halved(level: Seen) -> Seen:
