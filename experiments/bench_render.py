@@ -25,6 +25,7 @@ from irisjax.render.picture import (
     draw_on_cores,
     illuminate,
     iris_texels,
+    lit_model,
     prepare_scene,
     respond,
     shade,
@@ -114,10 +115,11 @@ def frames(key, size, repeats):
             yield row(change, f"{name}, another map", thicker)
             yield row(change, name, uniformly_thicker)
         elif change.startswith("camera"):
+            model = lit_model(scene, tables)
 
             def moved(i):
                 turned = dataclasses.replace(scene.camera, polar=0.01 * i)
-                return draw_on_cores(scene.replace(camera=turned), tables, response)
+                return draw_on_cores(scene.replace(camera=turned), tables, response, model)
 
             yield row(change, name, moved)
         else:

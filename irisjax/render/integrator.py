@@ -64,6 +64,11 @@ class AbstractIntegrator(eqx.Module):
         """
         del pixels, model, ranges
 
+    def lit(self, model: IrisModel, lights: Lights, tables: Illumination | None) -> IrisModel:
+        """Compute once for many views what `illuminate` needs of the lights whatever the pixels."""
+        del lights, tables
+        return model
+
     @abc.abstractmethod
     def illuminate(
         self,

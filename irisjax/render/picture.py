@@ -136,19 +136,19 @@ def draw_on_cores(
         scene: The scene.
         tables: `scene.tables()`, which are computed where they are not given, as are the others.
         response: `respond(scene)`.
-        model: `iris_model(scene)`.
+        model: `lit_model(scene, tables)`.
 
     Returns:
         The picture.
     """
     tables = scene.tables() if tables is None else tables
     response = respond(scene) if response is None else response
-    model = iris_model(scene) if model is None else model
+    model = lit_model(scene, tables) if model is None else model
 
     def draw_share(trace: Callable[[], View]) -> Radiances:
         view = trace()
         texels = texture(view, scene, model)
-        light = light_on_iris(view, texels, scene, tables)
+        light = light_on_iris(view, texels, scene, tables, model)
         parts = surrounding_parts(view, texels, scene)
         return parts | iris_part(view, texels, light, response)
 
@@ -187,8 +187,16 @@ def texture(view: View, scene: Scene, model: IrisModel | None = None) -> Texels:
 
 
 def iris_model(scene: Scene) -> IrisModel:
-    """Return the iris of a scene, its relief prepared for many views."""
-    return IrisModel(scene.eye, scene.iris, scene.maps).with_relief()
+    """Return the iris of a scene, with what is the same for many views and lights."""
+    return IrisModel(scene.eye, scene.iris, scene.maps).prepared()
+
+
+def lit_model(
+    scene: Scene, tables: Illumination | None, model: IrisModel | None = None
+) -> IrisModel:
+    """Return `iris_model(scene)`, which may be given, with what is the same for many views."""
+    model = iris_model(scene) if model is None else model
+    return scene.integrator.lit(model, scene.all_lights(), tables)
 
 
 def iris_texels(
@@ -200,12 +208,17 @@ def iris_texels(
     if view.iris is None:
         return None, None
     model = iris_model(scene) if model is None else model
-    texels = scene.integrator.texels(view.iris, model, scale_ranges(scene.iris, scene.maps))
+    assert model.ranges is not None
+    texels = scene.integrator.texels(view.iris, model, model.ranges)
     return texels, model.facing(view.iris)
 
 
 def illuminate(
-    view: View, texels: Texels, scene: Scene, tables: Illumination | None = None
+    view: View,
+    texels: Texels,
+    scene: Scene,
+    tables: Illumination | None = None,
+    model: IrisModel | None = None,
 ) -> LitView:
     """Compute the light that arrives at the points that pixels see.
 
@@ -214,16 +227,26 @@ def illuminate(
         texels: Result of `texture`.
         scene: The scene; its pigments make no difference.
         tables: `scene.tables()`, which are computed where they are not given.
+        model: `lit_model(scene, tables)`, which is the same for every view.
     """
     tables = scene.tables() if tables is None else tables
-    return LitView(surroundings(view, texels, scene), light_on_iris(view, texels, scene, tables))
+    light = light_on_iris(view, texels, scene, tables, model)
+    return LitView(surroundings(view, texels, scene), light)
 
 
-def light_on_iris(view: View, texels: Texels, scene: Scene, tables: Illumination | None) -> Any:
-    """Compute the light on the iris, the second part of `illuminate`; `None` without an iris."""
+def light_on_iris(
+    view: View,
+    texels: Texels,
+    scene: Scene,
+    tables: Illumination | None,
+    model: IrisModel | None = None,
+) -> Any:
+    """Compute the light on the iris, the second part of `illuminate`; `None` without an iris. The
+    `lit_model` of the scene may be given.
+    """
     if view.iris is None:
         return None
-    model = IrisModel(scene.eye, scene.iris, scene.maps)
+    model = IrisModel(scene.eye, scene.iris, scene.maps) if model is None else model
     arguments = view.iris, scene.all_lights(), model, tables, texels.facing
     return scene.integrator.illuminate(*arguments)
 
@@ -380,7 +403,7 @@ def draw_bands(
         max_pixels = 1 << (max_pixels.bit_length() - 1)
     count = -(-height // max(max_pixels // (width * samples**2), 1))
     rows = -(-height // count)
-    response, model = respond(scene), iris_model(scene)
+    response, model = respond(scene), lit_model(scene, tables)
     for start in range(0, height, rows):
         # The last band overlaps the one before, so that all bands have one compiled shape.
         first = min(start, height - rows)
@@ -389,7 +412,7 @@ def draw_bands(
             band_scene = scene.replace(camera=scene.camera.crop_rows(first, rows, samples))
         view = project_visible(band_scene.eye, band_scene.camera, once=True)
         texels = texture(view, band_scene, model)
-        light = illuminate(view, texels, band_scene, tables)
+        light = illuminate(view, texels, band_scene, tables, model)
         error = None if response.error is None else float(response.error)
         picture = np.asarray(shade(view, texels, light, response))
         picture = picture.reshape(rows, samples, width, samples, -1).mean((1, 3))

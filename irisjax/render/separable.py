@@ -54,6 +54,9 @@ class Separable(AbstractTabulated):
             indices=angular.surface_indices(iris, aqueous_index), degree=self.degrees[4]
         )
 
+    def lit(self, model: IrisModel, lights: Lights, tables: Illumination | None) -> IrisModel:
+        return model.with_flux(lights, tables)
+
     def illuminate(
         self,
         pixels: IrisPixels,
@@ -62,7 +65,9 @@ class Separable(AbstractTabulated):
         tables: Illumination | None,
         facing: Facing | None,
     ) -> angular.LightMoments:
-        flux = entering_flux(lights, model.eye, model.iris, tables, relief=facing is not None)
+        flux = model.flux
+        if flux is None:
+            flux = entering_flux(lights, model.eye, model.iris, tables, relief=facing is not None)
         return irradiance_at((pixels, facing), flux, model.eye), None
 
 

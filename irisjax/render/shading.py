@@ -55,23 +55,40 @@ class IrisModel(NamedTuple):
         iris: Tissue of the iris; `None` if it is painted.
         maps: Maps of the iris; `None` if it is uniform.
         relief: The `relief_field` of the maps, if it is computed already.
+        textures: The `scale_textures` of the maps, likewise.
+        ranges: The `scale_ranges` of the maps, likewise.
+        flux: The `entering_flux` of lights, likewise.
     """
 
     eye: Eye
     iris: Any
     maps: IrisMaps | None
     relief: Float[Array, "angles radii 4"] | None = None
+    textures: Scales | None = None
+    ranges: Scales | None = None
+    flux: Float[Array, "tints vectors rows columns"] | None = None
 
-    def with_relief(self) -> "IrisModel":
-        """Compute the relief's field once for many views."""
-        if self.relief is not None or self.maps is None or self.maps.relief is None:
-            return self
-        return self._replace(relief=relief_field(self.maps.relief, self.eye))
+    def prepared(self) -> "IrisModel":
+        """Compute once for many views what neither light nor pigments change."""
+        ranges = scale_ranges(self.iris, self.maps)
+        textures = None if self.iris is None else scale_textures(self.maps, self.iris)
+        return self._replace(relief=self._relief(), textures=textures, ranges=ranges)
+
+    def with_flux(self, lights: Lights, tables: Illumination | None) -> "IrisModel":
+        """Compute the flux of lights once for many views."""
+        has_relief = self._relief() is not None
+        flux = entering_flux(lights, self.eye, self.iris, tables, relief=has_relief)
+        return self._replace(flux=flux)
 
     def facing(self, pixels: IrisPixels) -> Facing | None:
         """Compute how the relief turns the iris at pixels; `None` without a relief."""
-        relief = self.with_relief().relief
+        relief = self._relief()
         return None if relief is None else facing_at(pixels, self.eye, relief)
+
+    def _relief(self) -> Float[Array, "angles radii 4"] | None:
+        if self.relief is not None or self.maps is None or self.maps.relief is None:
+            return self.relief
+        return relief_field(self.maps.relief, self.eye)
 
 
 def flux_at(

@@ -76,7 +76,9 @@ class AbstractTabulated(AbstractIntegrator):
 
     def texels(self, pixels: IrisPixels, model: IrisModel, ranges: Scales) -> TabulatedTexels:
         directions = self.directions(model.iris, model.eye.aqueous_index)
-        textures = scale_textures(model.maps, model.iris)
+        textures = model.textures
+        if textures is None:
+            textures = scale_textures(model.maps, model.iris)
         return _look_up_texels(pixels, textures, model.eye, ranges, directions)
 
     def response(

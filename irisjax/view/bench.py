@@ -145,7 +145,7 @@ class Bench(Session[BenchSettings]):
         self._file = path
         return path
 
-    def _light(self, kept: KeptShare, lit: object, view, texels, scene, tables) -> Any:
+    def _light(self, kept: KeptShare, lit: object, view, texels, scene, tables, model) -> Any:
         """Only coats that have changed and those below are painted."""
         painted = scene.integrator
         assert isinstance(painted, Painted)

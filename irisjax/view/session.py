@@ -30,6 +30,7 @@ from irisjax.render.picture import (
     iris_model,
     iris_part,
     light_on_iris,
+    lit_model,
     respond,
     surrounding_parts,
     texture,
@@ -159,7 +160,8 @@ class Session(abc.ABC, Generic[S]):
         self._base, self._tables_of = scene, tables_of
         self._tables = {grazing: KeptValue[Illumination | None]() for grazing in (False, True)}
         self._grazing, self._environment = KeptValue[bool](), KeptValue[Environment | None]()
-        self._response, self._model = KeptValue[AbstractResponse](), KeptValue[IrisModel]()
+        self._response = KeptValue[AbstractResponse]()
+        self._model, self._lit_model = KeptValue[IrisModel](), KeptValue[IrisModel]()
         self._kept = {draft: KeptPicture() for draft in (False, True)}
 
     def update(self, *, draft: bool = False, **changes: Any) -> np.ndarray:
@@ -182,9 +184,9 @@ class Session(abc.ABC, Generic[S]):
     def _set(self, s: S, size: tuple[int, int]) -> Scene:
         """The scene under some settings, its picture of this width and height."""
 
-    def _light(self, kept: KeptShare, lit: object, view, texels, scene, tables) -> Any:
-        """`light_on_iris`; `lit` is what it depends on."""
-        return kept.light.of(lit, lambda: light_on_iris(view, texels, scene, tables))
+    def _light(self, kept: KeptShare, lit: object, view, texels, scene, tables, model) -> Any:
+        """`light_on_iris`; `lit` is what it depends on, and `model` the `lit_model`."""
+        return kept.light.of(lit, lambda: light_on_iris(view, texels, scene, tables, model))
 
     def _picture(self, s: S, draft: bool) -> tuple[np.ndarray, float | None]:
         """Picture, and the error of its response."""
@@ -205,12 +207,14 @@ class Session(abc.ABC, Generic[S]):
         response = self._response.of(values_of(s, self._MATERIAL), lambda: respond(scene))
         model = self._model.of(values_of(s, self._SURFACES), lambda: iris_model(scene))
         lit = surfaces, values_of(s, LIGHT)
+        fixed = values_of(s, (*self._SURFACES, *LIGHT))
+        lit_iris = self._lit_model.of(fixed, lambda: lit_model(scene, tables, model))
 
         def draw_share(own: KeptShare, trace: Callable[[], View]) -> tuple[Radiances, Radiances]:
             view = own.view.of(seen, trace)
             texels = own.texels.of(surfaces, lambda: texture(view, scene, model))
             parts = own.parts.of(lit, lambda: surrounding_parts(view, texels, scene))
-            light = self._light(own, lit, view, texels, scene, tables)
+            light = self._light(own, lit, view, texels, scene, tables, lit_iris)
             return parts, iris_part(view, texels, light, response)
 
         shares = on_cores(draw_share, kept.shares[: len(tracers)], tracers)
