@@ -39,8 +39,8 @@ def lids(eye: Eye, *, texels: int = 1024, key: PRNGKey, **fields: Any) -> Lids:
 
 
 def _lashes(rng, lids: Lids, centre) -> np.ndarray:
-    """Grow three rows of lashes on the upper lid and one on the lower: points and radii of each."""
-    rows = [(True, 85), (True, 75), (True, 45), (False, 60)]
+    """Grow three rows of lashes on the upper lid and two on the lower: points and radii of each."""
+    rows = [(True, 100), (True, 85), (True, 60), (False, 70), (False, 30)]
     row = np.repeat(np.arange(len(rows)), [n for _, n in rows])
     count = len(row)
     upper = np.concatenate([np.full(n, of_upper) for of_upper, n in rows])
@@ -60,14 +60,14 @@ def _lashes(rng, lids: Lids, centre) -> np.ndarray:
     rising, falling = np.outer(lift, 0.7 * t**2 - 0.08 * t), 0.3 * t**2 - np.outer(lift, 0.85 * t)
     up = np.where(upper[:, None], rising, falling)
     out = np.where(upper[:, None], 0.95 * t - 0.15 * t**2, 0.5 * t + 0.1 * t**2)
-    length = np.where(upper, 7.0, 3.6) * (1 - 0.4 * s**2 - 0.25 * s)
-    along = (length * rng.uniform(0.5, 1.1, count))[:, None]
+    length = np.where(upper, 6.8, 3.4) * (1 - 0.4 * s**2 - 0.25 * s)
+    along = (length * rng.uniform(0.35, 1.1, count))[:, None]
     beyond = rng.uniform(0.1, 0.55, count) * EDGE_WIDTH
     place = jnp.asarray(np.stack([s, beyond]))
     x, y, z = np.asarray(_roots(lids, jnp.asarray(upper), place, centre))
     path = x[:, None] + along * side, y[:, None] + along * up, z[:, None] - along * out
-    radius = np.where(upper, 0.046, 0.034) * rng.uniform(0.75, 1.15, count)
-    return np.stack([*path, np.outer(radius, (1.02 - t) ** 0.8)], -1)
+    radius = np.where(upper, 0.06, 0.038) * rng.uniform(0.65, 1.15, count)
+    return np.stack([*path, np.outer(radius, (1.02 - t) ** 0.65)], -1)
 
 
 @eqx.filter_jit
@@ -118,7 +118,7 @@ def _skin(rng, texels: int) -> np.ndarray:
 
     lines = noise(2.2, 0.7)
     pores = np.minimum(noise(0.32, 0.32), 0.4) + 0.4 * noise(0.5, 0.5)
-    height = 0.006 * pores + 0.006 * np.minimum(lines, 0.2)
+    height = 0.0035 * pores + 0.004 * np.minimum(lines, 0.2)
     up, along = np.gradient(height, 2 * FACE / texels)
     red = 0.6 * noise(7, 6) + 0.25 * noise(1.3, 1.3)
     return np.stack([along, up, np.clip(red, -1.5, 1.5) / 1.5])

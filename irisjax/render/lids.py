@@ -30,7 +30,7 @@ from irisjax.tissue.diffusion import (
 )
 from irisjax.tissue.pigments import extinction
 
-LASH = 0.015
+LASH = 0.01
 """Reflectance of a lash."""
 BOUNCE = 0.2
 """Share of the light blocked by lids that a white skin would send to the eye; the reflectance of
