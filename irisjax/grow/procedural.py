@@ -369,7 +369,7 @@ def _strands(seed: Seed, turns, radius, freedom, capacity, kinds) -> NoiseField:
             wander += 0.6 * jnp.sin((17 - 4 * wave) * radius + jnp.pi * quick)
             away = x - strand - 0.5 - 0.5 * shift - 0.4 * sway * freedom * wander
             away /= breadth * (0.35 + 0.65 * size)
-            along = jnp.abs(radius - 0.5 - 0.5 * middle) / (0.2 + 0.3 * length)
+            along = jnp.abs(radius - 0.5 - 0.5 * middle) / (0.15 + 0.45 * jnp.abs(length))
             own = tallest * (0.3 + 0.7 * size) * smoothstep(2.5 - 2.5 * along)
             shaded = top * (1 - 0.6 * own * jnp.exp(-0.2 * away * away))
             return jnp.maximum(shaded, own * jnp.exp(-away * away)), None

@@ -113,6 +113,16 @@ def test_strands_run_radially(everything):
     assert np.diff(m, axis=0).std() > 2 * np.diff(m, axis=1).std()
 
 
+def test_strands_taper_off():
+    """Some began and ended within a texel, and threw a black speck on light irides: neighbours
+    along the radius differed by 26 µm at most in the mean of these irides, and by 16 µm since.
+    """
+    bare = {"furrows": 0, "crypts": 0, "clouds": 0.0, "collarette": 0.0, "ruff": 0.0}
+    reliefs = (grown(key=jax.random.key(k), **bare).relief for k in range(4))
+    steps = [np.abs(np.diff(np.asarray(relief), axis=1)).max() for relief in reliefs]
+    assert np.mean(steps) < 0.02
+
+
 def test_margins_are_thin_at_the_pupil_and_the_root(everything):
     thin = grown(**EXTRA, margins=1.0)
     ratio = np.asarray(thin.stroma_depth.mean(0) / everything.stroma_depth.mean(0))
