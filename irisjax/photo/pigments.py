@@ -68,8 +68,8 @@ FREE_NAMES = tuple(PRIORS)
 PIGMENT_UNITS = dict.fromkeys(FREE_NAMES, "") | dict.fromkeys(CONCENTRATIONS, "mg/ml")
 PIGMENT_UNITS["hemoglobin"] = "mmol/l"
 # RMS of ln photograph over model in the windows above which a fit is doubtful, channels weighted by
-# brightness: presets reach 0.15 to 0.28, with maps of twice the contrast 0.21 to 0.42, and their
-# intervals hold as often; with three times they reach 0.27 to 0.76, and hazel's and amber's
+# brightness: presets reach 0.15 to 0.27, with maps of twice the contrast 0.21 to 0.41, and their
+# intervals hold as often; with three times they reach 0.25 to 0.77, and hazel's and amber's
 # scattering is found too low (experiments/clone_presets.py).
 _WINDOWS_OFF = 0.33
 _UNUSUAL = 3.0  # standard deviations of its prior beyond which a parameter is doubtful
