@@ -36,38 +36,35 @@ def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tup
     """Return what is doubtful about the last stage that was reached; `rms` has the differences by
     channel, of the full range, of the picture that the pigments make of the photograph.
     """
-    doubts = [
-        Doubt("outlines", f"the {name} is doubtful (confidence {confidence:.2f}); give --{name}")
+    light, model = list[str](), list[str]()
+    outlines = [
+        f"the {name} is doubtful (confidence {confidence:.2f}); give --{name}"
         for name, confidence in doubtful_outlines(found).items()
     ]
-    if doubts:
-        doubts.append(Doubt("outlines", "nothing after the outlines was done"))
-    doubts += [Doubt("outlines", said) for said in found.boundaries.doubts()]
+    if outlines:
+        outlines.append("nothing after the outlines was done")
+    outlines += found.boundaries.doubts()
     distance = found.pose.distance if isinstance(found, Posed) else None
     if distance is not None and not _DISTANCES.holds(distance):
-        said = (
+        outlines.append(
             f"the focal length puts the camera {distance:.0f} mm away, where {_DISTANCES} are "
             "usual: it may be wrong; give --focal-px in pixels of this file"
         )
-        doubts.append(Doubt("outlines", said))
     if isinstance(found, Posed) and found.pose.stretched > _STRETCHED:
         wide, high = (e.semi_axes for e in found.boundaries[:2])
-        said = (
+        outlines.append(
             f"limbus and pupil are both flat, by {100 * (wide[0] / wide[1] - 1):.0f} and "
             f"{100 * (high[0] / high[1] - 1):.0f} %: the file may be stretched rather than the eye "
             "tilted; resize it to its true proportions"
         )
-        doubts.append(Doubt("outlines", said))
     own = found.texels if isinstance(found, Coloured) else None
-    model: list[str] = []
     if isinstance(found, Fitted):
         if (ratios := pigments.strange_white(found.fit, found.windows)) is not None:
-            said = (
+            light.append(
                 f"the white of the eye is {', '.join(f'{r:.2g}' for r in ratios)} times (R, G, B) "
                 "what it usually is in the light of the iris: a tone curve, or light that is not "
                 "as inferred; give --light or --environment"
             )
-            doubts.append(Doubt("light", said))
         if found.photograph.grey:
             model.append("the photograph has no colours: the pigments are meaningless")
         model += (odd := pigments.misfits(found.fit, found.windows))
@@ -81,12 +78,11 @@ def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tup
                 f"{max(response, 0):.2f} %): the map is little more than an average iris's"
             )
     if own is not None and own.gain != 1:
-        said = (
+        light.append(
             f"the iris's colours need {own.gain:g} times the exposure that its brightness tells: "
             "its pigments and the strength of its scattering mean little; give --light or "
             "--environment"
         )
-        doubts.append(Doubt("light", said))
     if own is not None and own.outside > _OUTSIDE_SHARE:
         model.append(
             f"{100 * own.outside:.0f} % of the iris has colours that the model cannot make: a "
@@ -103,7 +99,8 @@ def doubts_of(found: Outlined, rms: Float[np.ndarray, "3"] | None = None) -> tup
             f"{found.posterior.effective:.0f} independent ones, not as {pigments.EFFECTIVE}; try "
             "another --seed"
         )
-    return (*doubts, *(Doubt("model", said) for said in model))
+    kinds = zip(DOUBTS, (outlines, light, model), strict=True)
+    return tuple(Doubt(kind, sentence) for kind, sentences in kinds for sentence in sentences)
 
 
 def per_cent(shares: Float[np.ndarray, " channels"]) -> str:
