@@ -160,14 +160,12 @@ class Local(NamedTuple):
     Attributes:
         logs: Logarithms of the factors `NAMES`; at pixels that do not count filled from beside.
         covariance: Of the logarithms; 0 elsewhere.
-        before: That of the prior: of the coarser level, and of what differs from it.
         common: The variances in it that are by the exposures.
         off: Model less photograph, encoded; 0 elsewhere.
     """
 
     logs: Float[np.ndarray, "rows columns 3"]
     covariance: Float[np.ndarray, "rows columns 3 3"]
-    before: Float[np.ndarray, "rows columns 3 3"]
     common: Float[np.ndarray, "rows columns 3"]
     off: Float[np.ndarray, "rows columns 3"]
 
@@ -432,10 +430,7 @@ def _are_within(differences: Float[np.ndarray, "pixels 3"]) -> bool:
 
 
 def solve_levels(
-    levels: list[Seen],
-    response: TexelResponse,
-    exposure: Float[np.ndarray, "3"],
-    gain: float,
+    levels: list[Seen], response: TexelResponse, exposure: Float[np.ndarray, "3"], gain: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Solve all levels but the finest, the coarsest first, each near the numbers of the coarser
     one. Edges stay: a photograph outweighs a prior of this width wherever it shows them.
@@ -509,8 +504,8 @@ def _level(
     exposed_target = level.target * np.asarray(exposure, np.float32)
     noise = max(_noise(exposed_target, known), _NOISE)
     exposed = jnp.asarray(exposure * gain, jnp.float32)
-    parts = logs[known], (level.target / np.float32(gain))[known], level.light[known]
-    parts += (before[known],)
+    parts = logs, level.target / np.float32(gain), level.light, before
+    rows = tuple(np.asarray(part[known], np.float32) for part in parts)
     brightest = np.quantile(exposed_target[known], 0.99, axis=0)
     table_error = jnp.asarray(response.error * brightest, jnp.float32)
     doubts = jnp.asarray(np.zeros((3, 3)) if doubt is None else doubt, jnp.float32)
@@ -519,13 +514,11 @@ def _level(
     solve = functools.partial(_solved, response.degrees, tints, settings)
     with ThreadPoolExecutor(2) as pool:
         rows_a_call = _ROWS if candidates is None else _ROWS_COARSEST
-        results = map_rows(
-            solve, tuple(np.asarray(p, np.float32) for p in parts), rows_a_call, pool.map
-        )
+        results = map_rows(solve, rows, rows_a_call, pool.map)
     pictures: list[Any] = [np.zeros((*known.shape, *r.shape[1:]), np.float32) for r in results]
     for picture_of, values in zip(pictures, results, strict=True):
         picture_of[known] = values
-    return Local(fill_holes(pictures[0], ~known), pictures[1], before, *pictures[2:])
+    return Local(fill_holes(pictures[0], ~known), *pictures[1:])
 
 
 @eqx.filter_jit
