@@ -63,7 +63,7 @@ class Environment(eqx.Module):
 
         Left and right are the viewer's. A white sheet that faces out has a radiance of about 1.
         """
-        d = _directions(rows, 2 * rows)
+        d, _ = panorama_geometry(rows)
         soft = max(np.pi / rows, 0.06)
         room = 0.055 + 0.03 * d[..., 1:2]
         key = 22.5 * _panel(d, (-0.62, 0.78, -1.0), (0.17, 0.28), soft)
@@ -81,7 +81,7 @@ class Environment(eqx.Module):
         narrower and brighter than the studio's softbox, so that its image in the tear film is white
         beside an iris.
         """
-        d = _directions(rows, 2 * rows)
+        d, _ = panorama_geometry(rows)
         right, up, shown = _plane(d, (-0.5, 0.62, -1.0))
         soft = 2 * np.pi / rows  # as a camera that is focused on the iris sees it
         panes = shown * _within(right, 0.17, soft) * _within(up, 0.2, soft)
@@ -101,12 +101,7 @@ class Environment(eqx.Module):
 
     @classmethod
     def sky(
-        cls,
-        sun_polar: float = 1.0,
-        sun_azimuth: float = 2.0,
-        *,
-        sun: float = 4.0,
-        rows: int = 128,
+        cls, sun_polar: float = 1.0, sun_azimuth: float = 2.0, *, sun: float = 4.0, rows: int = 128
     ) -> "Environment":
         """Make an invented clear day: a blue gradient, a white horizon, a grey-green floor and a
         blurred sun. It is a picture of a sky, no model of the atmosphere.
@@ -117,7 +112,7 @@ class Environment(eqx.Module):
             sun: Irradiance by the sun of a surface that faces it; its glare spans about two texels.
             rows: Number of rows of the map.
         """
-        d = _directions(rows, 2 * rows)
+        d, solid_angle = panorama_geometry(rows)
         up = d[..., 1:2]
         horizon, zenith = np.array([0.75, 0.82, 0.9]), np.array([0.16, 0.32, 0.7])
         above = zenith + (horizon - zenith) * (1 - np.clip(up, 0, 1)) ** 3
@@ -125,7 +120,7 @@ class Environment(eqx.Module):
         sin, cos = np.sin(sun_polar), np.cos(sun_polar)
         towards = np.array([sin * np.cos(sun_azimuth), sin * np.sin(sun_azimuth), -cos])
         glare = np.exp(-((d - towards) ** 2).sum(-1) / 2 / (np.pi / rows) ** 2)
-        glare = glare / (glare * _solid_angles(rows, 2 * rows)).sum()
+        glare = glare / (glare * solid_angle).sum()
         warm = np.array([1.05, 0.99, 0.9])
         return cls(gradient + sun * glare[..., None] * (warm / (warm @ LUMINANCE)))
 
@@ -179,8 +174,7 @@ class Environment(eqx.Module):
         if n < 1:
             raise ValueError(f"a map gives at least one light, got n = {n}")
         rgb = np.asarray(self.radiance, np.float64)
-        rows, columns = rgb.shape[:2]
-        direction, solid_angle = _directions(rows, columns), _solid_angles(rows, columns)
+        direction, solid_angle = panorama_geometry(*rgb.shape[:2])
         if largest_polar is not None:
             rgb = np.where((-direction[..., 2:] >= np.cos(largest_polar)), rgb, 0.0)
         luminance = rgb @ np.asarray(LUMINANCE)
@@ -204,12 +198,19 @@ class Environment(eqx.Module):
 
 
 def panorama_geometry(
-    rows: int,
+    rows: int, columns: int | None = None
 ) -> tuple[Float[np.ndarray, "rows columns 3"], Float[np.ndarray, "rows columns"]]:
-    """Return the directions to the centres of a map's texels, twice as many columns as rows, and
-    their solid angles.
+    """Return unit vectors to the centres of a map's texels, and their solid angles; by default
+    there are twice as many columns as rows.
     """
-    return _directions(rows, 2 * rows), _solid_angles(rows, 2 * rows)
+    columns = 2 * rows if columns is None else columns
+    polar = (np.arange(rows) + 0.5)[:, None] * np.pi / rows
+    azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
+    y = np.broadcast_to(np.cos(polar), (rows, columns))
+    x, z = -np.sin(polar) * np.sin(azimuth), -np.sin(polar) * np.cos(azimuth)
+    edges = np.cos(np.arange(rows + 1) * np.pi / rows)
+    solid_angle = np.broadcast_to((-np.diff(edges))[:, None] * 2 * np.pi / columns, y.shape)
+    return np.stack([x, y, z], axis=-1), solid_angle
 
 
 def _median_cut(power: np.ndarray, n: int) -> list[tuple[slice, slice]]:
@@ -247,22 +248,6 @@ def _median_cut(power: np.ndarray, n: int) -> list[tuple[slice, slice]]:
         for half in (slice(s.start, s.start + cut), slice(s.start + cut, s.stop)):
             push(*((half, c) if across else (r, half)))
     return [box for _, _, box in sorted(heap, key=lambda entry: entry[1])]
-
-
-def _directions(rows: int, columns: int) -> np.ndarray:
-    """Return unit vectors to the texels' centres, shape (rows, columns, 3)."""
-    polar = (np.arange(rows) + 0.5)[:, None] * np.pi / rows
-    azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi
-    y = np.broadcast_to(np.cos(polar), (rows, columns))
-    return np.stack(
-        [-np.sin(polar) * np.sin(azimuth), y, -np.sin(polar) * np.cos(azimuth)], axis=-1
-    )
-
-
-def _solid_angles(rows: int, columns: int) -> np.ndarray:
-    """Compute the solid angles of the texels, shape (rows, columns)."""
-    edges = np.cos(np.arange(rows + 1) * np.pi / rows)
-    return np.broadcast_to((-np.diff(edges))[:, None] * 2 * np.pi / columns, (rows, columns))
 
 
 def _plane(direction: np.ndarray, centre) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
