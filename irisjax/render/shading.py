@@ -26,6 +26,7 @@ from irisjax.render.surfaces import IrisSurface, TextureCoordinates
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, Scales
 
+_GRID_SIZE = 161  # points along each side of a grid of flux
 _HORIZON_STEPS = 2, 5, 12  # texels at which the horizon of a relief is sought
 
 
@@ -104,13 +105,7 @@ def flux_at(
 
 @eqx.filter_jit
 def entering_flux(
-    lights: Lights,
-    eye: Eye,
-    iris: Iris,
-    tables: Illumination | None,
-    size: int = 161,
-    *,
-    relief: bool = False,
+    lights: Lights, eye: Eye, iris: Iris, tables: Illumination | None, *, relief: bool = False
 ) -> Float[Array, "tints vectors rows columns"]:
     """Sum the lights' flux on a grid over the iris, times the share 1 − F that enters the tissue.
 
@@ -119,14 +114,13 @@ def entering_flux(
         eye: The eye.
         iris: The iris, whose refractive index decides that share.
         tables: Illumination tables; `None` for an eye without a cornea.
-        size: Number of grid points along each side.
         relief: Whether to add a channel for light on a relief.
 
     Returns:
         Flux vectors, one tint where no light has a colour of its own. With `relief` a fourth
         component is the mean of `hiding_factor` weighted by irradiance on the flat iris.
     """
-    entry = _grid(eye, size)
+    entry = _grid(eye)
     normal = eye.iris_normal(entry)
     indices = iris.indices(eye.aqueous_index)
 
@@ -143,8 +137,8 @@ def entering_flux(
         return total + jnp.moveaxis(flux, -1, 0) * tints[i, :, None, None, None], None
 
     tints = lights.tint_factors
-    zero = jnp.zeros((tints.shape[1], 5 if relief else 3, size, size), lights.irradiance.dtype)
-    total = jax.lax.scan(add, zero, jnp.arange(len(lights)))[0]
+    shape = tints.shape[1], 5 if relief else 3, *entry.shape[:-1]
+    total = jax.lax.scan(add, jnp.zeros(shape, lights.irradiance.dtype), jnp.arange(len(lights)))[0]
     if not relief:
         return total
     return total[:, :4].at[:, 3:].set(share_of(total[:, 4:], total[:, 3:4], 0.0))
@@ -152,7 +146,7 @@ def entering_flux(
 
 @eqx.filter_jit
 def incident_flux(
-    lights: Lights, eye: Eye, tables: Illumination | None, size: int = 161
+    lights: Lights, eye: Eye, tables: Illumination | None, size: int = _GRID_SIZE
 ) -> Float[Array, "lights 3 rows columns"]:
     """Compute the flux vectors of each light just before the iris, on a grid over it."""
     entry = _grid(eye, size)
@@ -163,7 +157,7 @@ def incident_flux(
     return jax.lax.map(flux_of, jnp.arange(len(lights)))
 
 
-def _grid(eye: Eye, size: int):
+def _grid(eye: Eye, size: int = _GRID_SIZE):
     """Return grid points over the iris at the depth of the cornea, about where light enters; at the
     iris's own depth if there is no cornea.
     """
@@ -190,13 +184,11 @@ def _flux_of_light(lights: Lights, i, point, eye: Eye, tables: Illumination | No
 
 
 def _flux_without_lids(lights: Lights, i, entry, eye: Eye, tables: Illumination | None):
-    concentration, point = 1.0, entry[..., :2]
-    if tables is not None and lights.distance is not None:
-        entry, concentration = near_lamp_entry(
-            eye, lights.towards[i], 1.0 / lights.distance[i], point
-        )
-    if tables is not None and lights.distance is None:
-        return tables.at(point, lights.towards[i]) * lights.irradiance[i]
+    concentration, point, towards = 1.0, entry[..., :2], lights.towards[i]
+    if tables is not None:
+        if lights.distance is None:
+            return tables.at(point, towards) * lights.irradiance[i]
+        entry, concentration = near_lamp_entry(eye, towards, 1.0 / lights.distance[i], point)
     towards, irradiance = lights.incident_at(parts(entry), i)
     towards = from_parts(towards)
     flux = -towards if tables is None else tables.at(point, towards)
