@@ -279,22 +279,18 @@ def best_outline(
     sizes, centre_cost = np.linspace(0.82, 1.3, 13), np.zeros(dx.size)
     if expected.centre is not None:
         x, y = np.subtract(expected.centre, outline.centre) / radius
-        centre_cost = _ODDNESS_COST * np.minimum(
-            ((dx - x) ** 2 + (dy - y) ** 2) / expected.centre_sd**2, 9
-        )
-    expected_flattening = np.array(expected.flattening)
+        oddness = ((dx - x) ** 2 + (dy - y) ** 2) / expected.centre_sd**2
+        centre_cost = _ODDNESS_COST * np.minimum(oddness, 9)
     pitch, rays = place[1] - place[0], np.arange(len(score))
     for ratio, angle in [(1.0, 0.0), *product(_RATIOS[1:], np.arange(4) * np.pi / 4)]:
         axes = sizes / np.sqrt(ratio), sizes * np.sqrt(ratio)
         index = np.round((_distance_to_ellipse(dx, dy, *axes, angle, direction) - place[0]) / pitch)
         within = (index >= 0) & (index < place.size)
         index = np.clip(index, 0, place.size - 1).astype(int)
-        deviation = (
-            np.array([np.cos(2 * angle), np.sin(2 * angle)]) * -np.log(ratio) - expected_flattening
-        )
-        flattening_cost = _ODDNESS_COST * min(
-            float(deviation @ deviation) / expected.flattening_sd**2, 9.0
-        )
+        flattening = -np.log(ratio) * np.array([np.cos(2 * angle), np.sin(2 * angle)])
+        deviation = flattening - expected.flattening
+        oddness = float(deviation @ deviation) / expected.flattening_sd**2
+        flattening_cost = _ODDNESS_COST * min(oddness, 9.0)
         mean = np.where(within, score[rays, index], 0.0).mean(-1) - centre_cost - flattening_cost
         size, k = np.unravel_index(np.argmax(mean), mean.shape)
         if mean[size, k] > best:
@@ -313,11 +309,10 @@ def refine_outline(
     """
     middle = np.asarray(outline.centre)
     points = middle + place[:, None] * (outline.points(RAYS) - middle)
-    if (value > _LEAST_SCORE).sum() < 12:
+    used = value > _LEAST_SCORE
+    if used.sum() < 12:
         return FittedEllipse(outline, 0.0, expected.flattening_sd, 1.0)
-    ellipse, sd, place_sd = _fit_ellipse(
-        outline, points, weight * value**2 * (value > _LEAST_SCORE), expected
-    )
+    ellipse, sd, place_sd = _fit_ellipse(outline, points, weight * value**2 * used, expected)
     distance = abs(ellipse.relative_radius(points[:, 0], points[:, 1]) - 1)
     near = distance < 0.02 + 0.5 / ellipse.semi_axes[0]
     support = (weight * value * near).sum() / weight.sum()
@@ -352,30 +347,24 @@ def _fit_ellipse(
             weight = correlated * weights * share / precision**2
             weighted = weight[:, None, :] * slopes
             normal = weighted @ slopes.swapaxes(1, 2) + np.diag(sd**-2.0)
-            gradient = (weighted @ residuals[..., None])[..., 0] + (
-                parameters - prior_mean
-            ) * sd**-2.0
+            pull = (parameters - prior_mean) * sd**-2.0
+            gradient = (weighted @ residuals[..., None])[..., 0] + pull
             change = np.linalg.solve(normal + 1e-6 * np.eye(5), gradient[..., None])[..., 0]
             parameters = parameters - np.clip(change, -0.1, 0.1)
         supported = (weights / (1 + (_residuals(parameters, scaled)[0] / 0.01) ** 2)).sum(1)
-        merit = correlated * supported - _PRECISION**2 / 0.01**2 * (
-            ((parameters - prior_mean) / sd) ** 2
-        ).sum(1)
+        oddness = (((parameters - prior_mean) / sd) ** 2).sum(1)
+        merit = correlated * supported - _PRECISION**2 / 0.01**2 * oddness
         return merit, parameters, normal
 
     # A lid's edge attracts the ellipse: of several beginnings the one that most edges support.
     initial, scales = np.array([0, 0, 0, *start.flattening]), (0.02,) * 3 + (0.01,) * 6
     absolute = improve(initial[None], [_PRECISION] * 6)[1][0]
-    merit, fits, normals = improve(
-        np.stack([initial, absolute, np.append(initial[:3], prior_mean[3:])]), scales
-    )
+    starts = np.stack([initial, absolute, np.append(initial[:3], prior_mean[3:])])
+    merit, fits, normals = improve(starts, scales)
     best = int(np.argmax(merit))
     parameters, spread = fits[best], np.linalg.inv(normals[best]).diagonal()
-    (x, y), radius, flattening = (
-        middle + size * parameters[:2] * [1, -1],
-        size * np.exp(parameters[2]),
-        parameters[3:],
-    )
+    (x, y), flattening = middle + size * parameters[:2] * [1, -1], parameters[3:]
+    radius = size * np.exp(parameters[2])
     stretch, angle = np.hypot(*flattening), 0.5 * np.arctan2(flattening[1], flattening[0])
     axes = radius * np.exp(0.5 * stretch), radius * np.exp(-0.5 * stretch)
     flattening_sd, place_sd = np.sqrt(spread[3:].mean()), np.sqrt(spread[:3].sum())

@@ -91,9 +91,8 @@ def weigh_outlines(photo: Photograph, limbus: FittedEllipse, pupil: FittedEllips
     hole = inner.scaled(scale)._replace(centre=(float(middle[0]), float(middle[1])))
     # Yellow irides are black in blue light; what is burnt out shows neither iris nor pupil.
     mean = cut_around(photo.pixels, outer, 2.0, _JUDGED_RADIUS)[0].mean(-1)
-    burnt, *_ = cut_around(
-        photo.saturated[..., None].astype(np.float32), outer, 2.0, _JUDGED_RADIUS
-    )
+    saturated = photo.saturated[..., None].astype(np.float32)
+    burnt, *_ = cut_around(saturated, outer, 2.0, _JUDGED_RADIUS)
     dark, enclosed = darkness(np.where(burnt[..., 0] > 0.1, np.nan, mean), hole)
     texture = (place > 1.15 * inner.mean_radius / outer.mean_radius) & (place < 0.9)
     return Evidence(

@@ -137,11 +137,8 @@ def find_boundaries(
     scale = min(1.0, _LONG / max(photo.shape))
     layers = edges.reduce_picture(np.dstack([photo.pixels, photo.saturated]), scale)
     small = photo._replace(pixels=layers[..., :3], saturated=layers[..., 3] > 0.1)
-    given_outlines = (
-        fit and fit._replace(outline=fit.outline.scaled(scale)),
-        inner and inner._replace(outline=inner.outline.scaled(scale)),
-    )
-    eyes = _find_eyes(small, *given_outlines, all_eyes=eye is not None)
+    given = (e and e._replace(outline=e.outline.scaled(scale)) for e in (fit, inner))
+    eyes = _find_eyes(small, *given, all_eyes=eye is not None)
     if not eyes:
         raise ValueError(
             f"{photo.name}: no iris found; give --limbus with its centre and semi-axes in pixels"
@@ -185,9 +182,8 @@ def _dark_rings(picture, limbus: Ellipse) -> list[Ellipse]:
     for x, y, r, votes in rings[possible & (offset < np.minimum(0.3, 1.05 - share))]:
         circle = Ellipse((x, y), (r, r))
         dark, enclosed = darkness(picture, circle)
-        circles.append(
-            (votes * dark * (0.3 + enclosed) * _place_plausibility(limbus, circle), circle)
-        )
+        worth = votes * dark * (0.3 + enclosed) * _place_plausibility(limbus, circle)
+        circles.append((worth, circle))
     return [circle for _, circle in sorted(circles, key=lambda entry: -entry[0])]
 
 
@@ -210,9 +206,8 @@ def _place_plausibility(limbus: Ellipse, pupil: Ellipse) -> float:
 def _fit_pupil(picture, clipped, circle: Ellipse, expected: edges.Expected) -> FittedEllipse:
     """Fit a pupil near a circle."""
     span = (0.5, 1.65)
-    steps = edges.fit_steps(
-        _profile(picture, clipped, circle, span, 93), span, _PUPIL_WIDTHS[1:], 0.2
-    )
+    profile = _profile(picture, clipped, circle, span, 93)
+    steps = edges.fit_steps(profile, span, _PUPIL_WIDTHS[1:], 0.2)
     fit = FittedEllipse(edges.best_outline(circle, steps.place, steps.score(), expected), 0.0, 0.1)
     span = (0.7, 1.3)
     for reach in (0.12, 0.08):
@@ -243,9 +238,8 @@ def refine_pupil(photo: Photograph, limbus: FittedEllipse, near: FittedEllipse) 
         circle = edges.refine_outline(circle, score, place, _EQUAL_WEIGHTS, expected).outline
     profiles = _profile(picture, clipped, circle, _PUPIL_SPAN, 241)[score > 0.3]
     profiles = profiles[np.isfinite(profiles).any(1)]
-    if len(
-        profiles
-    ):  # each above its own dark: a mirror image over the rim adds light to both sides
+    if len(profiles):
+        # Each above its own dark: a mirror image over the rim adds light to both sides.
         profiles = profiles - np.nanquantile(profiles, 0.1, axis=1, keepdims=True)
         rise = np.nanmax(profiles, 1)
         profiles = profiles[rise > 0.1 * np.quantile(rise, 0.75)]
@@ -270,9 +264,8 @@ def refine_limbus(
     pictures, outline, back = limbus_part(photo, start, edges.ROUGH if coarse else edges.FINE)
     expected, ratio = _FRONTAL, outline.semi_axes[0] / start.semi_axes[0]
     if pupil is not None and pupil.support > _TRUSTED:
-        flattening = FLATTENING_RATIO * pupil.outline.flattening + 0.25 * np.array(
-            _FRONTAL.flattening
-        )
+        frontal = 0.25 * np.array(_FRONTAL.flattening)
+        flattening = FLATTENING_RATIO * pupil.outline.flattening + frontal
         sd = FLATTENING_RATIO * np.hypot(PUPIL_OVAL, pupil.flattening_sd)
         x, y = ratio * np.subtract(pupil.outline.centre, start.centre) + outline.centre
         middle = x, y + _UPWARDS * outline.semi_axes[0]
@@ -428,10 +421,8 @@ def _separate(one: Ellipse, other: Ellipse) -> bool:
 def _inner_worth(pair: Pair, pairs: list[Pair]) -> float:
     hole = pair.pupil.outline
     inner = [p for p in pairs if hole.relative_radius(*p.limbus.outline.centre) < 0.5]
-    return max(
-        (p.worth for p in inner if p.limbus.outline.mean_radius < 1.3 * hole.mean_radius),
-        default=0.0,
-    )
+    fitting = [p.worth for p in inner if p.limbus.outline.mean_radius < 1.3 * hole.mean_radius]
+    return max(fitting, default=0.0)
 
 
 def _choose_eye(name: str, eyes: list[Pair], eye: str | None) -> Pair:
@@ -539,9 +530,8 @@ def _fit_rise(x, brightness, pixel: float) -> tuple[float, float]:
     node = (node + 1) / 2
     weight = 3 * weight * node * (1 - node)  # a smoothstep is as many steps as its slope says
 
-    def components(
-        v, sharp, soft
-    ):  # constant, line up or down, what rises; how much of each there is
+    def components(v, sharp, soft):
+        """Constant, line up or down, and what rises; how much of each there is."""
         start, width, factor = v
         blur = _BLUR * np.exp(_BLUR_SPREAD * factor) * pixel
         step = special.ndtr((x - start) / blur)

@@ -165,17 +165,12 @@ def find_pose(
     def residuals(v, rim, hole):
         scale = np.exp(v[4]) * pixels_per_mm
         edge, inner = (ellipse_through(limbus_middle(v) + scale * p) for p in (rim, hole))
-        pairs = (
-            (edge, limbus, spread[0], mean_flattening),
-            (inner, pupil, spread[1], 0 * mean_flattening),
+        flatter = (
+            (edge.flattening + mean_flattening - limbus.flattening) / spread[0],
+            (inner.flattening - pupil.flattening) / spread[1],
         )
-        flatter = [
-            (own.flattening + own_flat - observed.flattening) / sd
-            for own, observed, sd, own_flat in pairs
-        ]
-        sizes = [
-            np.prod(own.semi_axes) / np.prod(observed.semi_axes) for own, observed, *_ in pairs
-        ]
+        pairs = (edge, limbus), (inner, pupil)
+        sizes = [np.prod(own.semi_axes) / np.prod(seen.semi_axes) for own, seen in pairs]
         middle = (np.array(edge.centre) - limbus.centre) / (_OUTLINE_SD * limbus.semi_axes[0])
         aside = (np.array(inner.centre) - pupil.centre) / (scale * DECENTRED)
         larger = np.log(sizes) / (2 * _OUTLINE_SD)
@@ -291,11 +286,9 @@ def tilts_of_people(
     high = np.interp(below[: low.size] + 0.95, np.cumsum(of_tilt), tilt)
     k = int(np.argmax(np.log(np.cos(high) / np.cos(low))))  # the shortest in the flattening
     sd = np.sqrt(of_tilt @ (tilt - mean) ** 2)
-    return (
-        float(sd),
-        (float(tilt[max(k - 1, 0)]), float(high[k])),
-        float(posterior[..., abs(stretch) > _RELEVANT_STRETCH].sum()),
-    )
+    interval = float(tilt[max(k - 1, 0)]), float(high[k])
+    stretched = posterior[..., abs(stretch) > _RELEVANT_STRETCH].sum()
+    return float(sd), interval, float(stretched)
 
 
 def _tilt_cost(tilt):
