@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 from scipy.cluster.vq import kmeans2
-from skimage import filters
 
 from irisjax._types import PRNGKey
 from irisjax.measure.colour import lab_of_srgb, srgb_encode
@@ -221,15 +220,9 @@ def _dominant_colours(
     pixels: Colours, visible: Mask, limbus: Ellipse, draws: _Draws, random: np.random.Generator
 ) -> tuple[RegionColour, ...]:
     """Find the colours that make up the iris, by k-means in L*a*b*."""
-    smooth = np.stack(
-        [
-            masked_mean(c, visible, 0.01 * limbus.mean_radius)[visible]
-            for c in np.moveaxis(pixels, -1, 0)
-        ],
-        -1,
-    )
-    sampled = np.linspace(0, len(smooth) - 1, _CLUSTERED).astype(int)
-    chosen = smooth[sampled]
+    width, channels = 0.01 * limbus.mean_radius, np.moveaxis(pixels, -1, 0)
+    smooth = np.stack([masked_mean(c, visible, width)[visible] for c in channels], -1)
+    chosen = smooth[np.linspace(0, len(smooth) - 1, _CLUSTERED).astype(int)]
     middle = _Draws(draws.white, *(values[:1] for values in draws[1:]))
     lab = np.asarray(lab_of_srgb(middle.linear(chosen)))
     weighted = lab * (_LIGHTNESS, 1, 1)
@@ -285,18 +278,14 @@ def _find_hidden(
         if (contrast > 2 * scatter).any():
             share = excess / np.maximum(contrast, 1e-6)
             high[place] |= (share.min(-1) > 0.3) & (share.max(-1) < 2)
-
-    def sharp(region, at):
-        return high[at].mean() > _SHARP
-
-    hidden = select_regions(sharp, high | low)
+    hidden = select_regions(lambda _, at: high[at].mean() > _SHARP, high | low)
     # Lids are redder than the rest of a ring, above and below.
     tint = smooth[:, 0] / np.maximum(smooth.sum(-1), 1e-4)
     tint -= np.asarray(ndimage.median(tint, ring, np.arange(16)))[ring]
     upright = abs(np.sin(angles_about(visible.shape, limbus)[place])) > 0.6
-    steps = np.zeros(visible.shape)
-    steps[place] = (upright & (tint > _SKIN)).astype(int) * (1 + (depth[place] > 0.8))
-    hidden |= filters.apply_hysteresis_threshold(steps, 0.5, 1.5)
+    red = np.zeros(visible.shape, bool)
+    red[place] = upright & (tint > _SKIN)
+    hidden |= np.asarray(ndimage.binary_propagation(red & (depth > 0.8), mask=red))
     return np.asarray(ndimage.binary_dilation(hidden, iterations=2 * width))
 
 

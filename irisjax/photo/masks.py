@@ -194,9 +194,7 @@ def find_highlights(pixels: Colours, saturated: Mask, iris: Mask) -> Mask:
     bright = (excess > max(5 * scatter, 0.15)) & white & ring
     glow = (excess > max(2.5 * scatter, 0.06)) & ring
     seeds = bright | cut_off
-    highlights = filters.apply_hysteresis_threshold(
-        (glow | seeds).astype(np.uint8) + seeds, 0.5, 1.5
-    )
+    highlights = np.asarray(ndimage.binary_propagation(seeds, mask=glow | seeds), bool)
     # Fibres that touch a highlight are as bright as its glow; the glow itself is near.
     distance = np.asarray(ndimage.distance_transform_edt(~seeds))
     highlights &= distance <= max(2.0, 0.03 * size)
@@ -249,7 +247,7 @@ def find_reflections(pixels: Colours, limbus: Ellipse, pupil: Ellipse, iris: Mas
     # Between mirrored lashes they are as narrow.
     near = np.asarray(ndimage.distance_transform_edt(~wide)) < max(2.0, _BESIDE * size)
     beside = glow & near & (strange > _STRANGE / 3)
-    reflections = filters.apply_hysteresis_threshold(beside.astype(np.uint8) + wide, 0.5, 1.5)
+    reflections = np.asarray(ndimage.binary_propagation(beside & wide, mask=beside | wide), bool)
     reflections = ~_open(~reflections, 2 * least) if reflections.any() else reflections
     return part.enlarged(_dilate(reflections, max(1, size // 200))) & iris
 
@@ -278,9 +276,8 @@ def find_lashes(pixels: Colours, limbus: Ellipse, lids: Mask) -> Mask:
     dark, bright = (_streak_contrast(v, part.small(limbus), reach) for v in (encoded, -encoded))
     for streak in (dark, bright):
         # In units of what fibres, or vessels and skin, usually reach.
-        usual = np.where(
-            within, _usual_contrast(streak[within]), _usual_contrast(streak[near & ~within])
-        )
+        inner, outer = _usual_contrast(streak[within]), _usual_contrast(streak[near & ~within])
+        usual = np.where(within, inner, outer)
         clear = filters.apply_hysteresis_threshold(near * streak / usual, 1.0, 1.5)
         lashes |= select_regions(crosses_limbus, clear)
     iris = (radius > 0.6) & within & ~hidden
@@ -363,8 +360,7 @@ def find_freckles(texture: Unrefracted) -> Mask:
     darker, usual_dark = _deviation(dark, texture)
     high = (browner > max(_BROWNER, _STRONG * usual_brown)) & (darker > max(_DARKER, usual_dark))
     low = (browner > max(_BROWNER / 2, _WEAK * usual_brown)) & (darker > 0)
-    steps = (low & valid).astype(np.uint8) + (high & valid)
-    spots = np.asarray(filters.apply_hysteresis_threshold(steps, 0.5, 1.5))
+    spots = np.asarray(ndimage.binary_propagation(high & valid, mask=low & valid))
 
     def is_freckle(region, _):
         width, length = region.equivalent_diameter_area * texel, region.axis_major_length * texel
