@@ -228,12 +228,7 @@ def find_veil(
 
 
 def irradiance_of_iris(
-    x: np.ndarray,
-    y: np.ndarray,
-    lights: Lights,
-    room: float,
-    eye: Eye,
-    tables: Illumination | None,
+    x: np.ndarray, y: np.ndarray, lights: Lights, room: float, eye: Eye, tables: Illumination | None
 ) -> np.ndarray:
     """Return the irradiance of the iris at places of its plane (mm), in the chamber, by lamps and a
     room of some radiance all round.

@@ -607,14 +607,10 @@ def _error_levels(log_ratios, response, present):
     # Variance of a mean. Means of neighbouring rings are correlated too, which is little beside
     # `RING`.
     counted = jnp.asarray(present, within.dtype).reshape(RINGS, ANGLES)
-    factor = (
-        jnp.einsum("ra,ab,rb->r", counted, _RING_CORRELATION, counted) / jnp.maximum(number, 1) ** 2
-    )
-    own = within * factor[:, None, None]
-    own = (
-        jnp.asarray(SPREAD_FACTORS**2)[:, None, None, None] * covariance_of(RING)[rings, rings]
-        + own
-    )
+    correlated = jnp.einsum("ra,ab,rb->r", counted, _RING_CORRELATION, counted)
+    of_mean = within * (correlated / jnp.maximum(number, 1) ** 2)[:, None, None]
+    factors = jnp.asarray(SPREAD_FACTORS**2)[:, None, None, None]
+    own = factors * covariance_of(RING)[rings, rings] + of_mean
     has_windows = (number > 0)[:, None, None]
     between = covariance_of(WHOLE) * (has_windows[:, None] & has_windows[None])
     between = jnp.broadcast_to(between, (len(SPREAD_FACTORS), *between.shape))

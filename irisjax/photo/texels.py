@@ -480,9 +480,8 @@ def _enlarged(local: Local, known: Mask, shape: tuple[int, int]) -> tuple[np.nda
         return map_channels(values, lambda c: c.resize(size, Image.Resampling.BILINEAR))
 
     covariance = enlarged(fill_holes(local.covariance, ~known).reshape(*known.shape, 9))
-    return enlarged(local.logs), covariance.reshape(*shape, 3, 3) + _FINER**2 * np.eye(
-        3, dtype=np.float32
-    )
+    finer = _FINER**2 * np.eye(3, dtype=np.float32)
+    return enlarged(local.logs), covariance.reshape(*shape, 3, 3) + finer
 
 
 def _level(
@@ -604,9 +603,8 @@ def _solved(degrees: tuple[int, ...], tints: int, settings, rows):
             moved = jnp.clip(z + jnp.clip(move, -_LONGEST, _LONGEST), low, high)
             trial = around(moved)
             better = trial[0] < cost
-            accepted = jax.tree.map(
-                lambda new, old: jnp.where(better, new, old), (moved, trial), (z, at[1])
-            )
+            choose = functools.partial(jnp.where, better)
+            accepted = jax.tree.map(choose, (moved, trial), (z, at[1]))
             # A step that was refused is tried again, shorter: what it promised counts.
             gained = jnp.where(better, cost - trial[0], (slope * move).sum(0)).max()
             return count + 1, gained, *accepted, damping * jnp.where(better, 0.3, 4.0)
@@ -614,9 +612,8 @@ def _solved(degrees: tuple[int, ...], tints: int, settings, rows):
         start = centre
         if candidates is not None and colours is not None:
             seen = total(c[..., None] * s[:, None] for c, s in zip(colours, light, strict=True))
-            error = (
-                encoded(seen.reshape(3, -1)).reshape(3, *colours.shape[2:], -1) - wanted[:, None]
-            )
+            seen = encoded(seen.reshape(3, -1)).reshape(3, *colours.shape[2:], -1)
+            error = seen - wanted[:, None]
             away = candidates[..., None] - centre[:, None]
             near = total(weight[:, None] * error**2) + prior * total(away**2)
             near = near + _BRIGHTNESS * weight.min(0) * error.mean(0) ** 2

@@ -17,20 +17,13 @@ from irisjax.photo.light import SHADED
 from irisjax.photo.photograph import Brightness, Colours, Mask
 from irisjax.photo.texture import LUMINANCE_WEIGHTS
 from irisjax.photo.thickness import generic_thickness
-from irisjax.render import project
 from irisjax.render.bands import Bands, colour_bands
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import solve_response
 from irisjax.render.lights import Lights
 from irisjax.render.outside import mirrored_environment
-from irisjax.render.project import (
-    IrisPixels,
-    View,
-    VisiblePart,
-    pixel_numbers,
-    scatter_to_picture,
-)
+from irisjax.render.project import IrisPixels, View, VisiblePart, pixel_numbers, scatter_to_picture
 from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import ENVIRONMENT_LIGHTS
 from irisjax.render.separable import Separable
@@ -47,10 +40,7 @@ MARGIN = 0.35  # distance of the windows from the pupil's edge, mm
 # From root and limbus, mm: the white's soft edge, modelled only as a blend, shades the iris below.
 OUTER_MARGIN = 0.7
 COUNT = ANGLES * RINGS
-_MOST_PIXELS, _LEAST_PIXELS = (
-    96,
-    24,
-)  # most pixels taken of a window; least pixels of one that counts
+_MOST_PIXELS, _LEAST_PIXELS = 96, 24  # most taken of a window; least of a window that counts
 _COPIES = 4  # turns of the maps that one pixel sees
 _Integrator = Separable | RadiativeIntegrator
 _WindowColours = Float[np.ndarray, "windows 3"]
@@ -172,10 +162,9 @@ class Windows(eqx.Module):
         abl_scale = spots.abl_scale(iris)
         assert abl_scale is not None
         scales = Scales(abl=abl_scale[0], stroma=jnp.ones_like(abl_scale[0]))
-        luminance = self._from_the_front(iris, ranges, scales)
-        return luminance / self._from_the_front(
-            iris, ranges, scales._replace(abl=0 * abl_scale[0] + 1)
-        )
+        own = scales._replace(abl=0 * abl_scale[0] + 1)
+        spotted, bare = (self._from_the_front(iris, ranges, s) for s in (scales, own))
+        return spotted / bare
 
     def _from_the_front(self, iris: Iris, ranges: Scales, scales: Scales) -> np.ndarray:
         """Luminance of uniform irides."""
@@ -253,7 +242,7 @@ def choose_pixels(
     if iris is None:
         raise ValueError("the camera does not see the iris")
     everywhere = _windows_of_pixels(iris, eye)
-    is_clear = clear.reshape(-1)[project.pixel_numbers(iris)]
+    is_clear = clear.reshape(-1)[pixel_numbers(iris)]
     windows = _with_enough_pixels(np.where(is_clear, everywhere, COUNT))
     index, window = _sample_windows(windows)
     sampled = dataclasses.replace(iris, index=None)
@@ -324,15 +313,12 @@ def _matrix(pixels, window, lights, eye, iris, maps, tables, ranges, bands, inte
         light = integrator.illuminate(pixels, lights, model, tables, facing)
         return eqx.partition((texels, light), eqx.is_inexact_array)
 
-    zero = jnp.zeros((), first_channel.dtype)
-    numbers, derivatives, rest = jax.jvp(
-        light_pixels, (zero,), (jnp.ones_like(zero),), has_aux=True
-    )
+    zero, one = jnp.zeros((), first_channel.dtype), jnp.ones((), first_channel.dtype)
+    numbers, derivatives, rest = jax.jvp(light_pixels, (zero,), (one,), has_aux=True)
 
     def means(numbers, coefficients):
-        with_coefficients = eqx.tree_at(
-            lambda r: r.coefficients, response, coefficients.reshape(first_channel.shape)
-        )
+        coefficients = coefficients.reshape(first_channel.shape)
+        with_coefficients = eqx.tree_at(lambda r: r.coefficients, response, coefficients)
         shaded = with_coefficients.shade(pixels, *eqx.combine(numbers, rest))
         sums = jnp.zeros((COUNT, shaded.shape[0])).at[window].add(shaded.T, mode="drop")
         return sums / share[:, None]
@@ -382,7 +368,7 @@ def _means_of_windows(windows, seen: IrisPixels):
     each.
     """
     inside = windows < COUNT
-    windows, numbers = windows[inside], project.pixel_numbers(seen)[inside]
+    windows, numbers = windows[inside], pixel_numbers(seen)[inside]
     count = np.bincount(windows, minlength=COUNT)
 
     def mean(values, channels: int):
@@ -395,7 +381,7 @@ def _means_of_windows(windows, seen: IrisPixels):
 
 def _windows_of_pixels(seen: IrisPixels, eye: Eye):
     """The number of each pixel's window, `COUNT` for none."""
-    number = project.pixel_numbers(seen)
+    number = pixel_numbers(seen)
     x, y = map(np.asarray, seen.point[:2])
     r, around = ring_radius(eye, x, y), np.arctan2(y, x) % (2 * np.pi)
     inner = float(eye.pupil_radius) + MARGIN
