@@ -18,7 +18,7 @@ from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye, cornea_of
 from irisjax.numerics.interpolation import bilinear, multilinear
 from irisjax.numerics.roots import safe_sqrt
-from irisjax.optics.conicoid import Vector, dot, from_parts, norm, parts
+from irisjax.optics.conicoid import Vector, advance, dot, from_parts, norm, parts, reflect_vector
 from irisjax.render import refraction
 from irisjax.render.refraction import LARGEST_POLAR, UNIQUE_POLAR, RefractionFunction, cornea_point
 
@@ -147,9 +147,8 @@ def reflects_inside(eye: Eye) -> bool:
     if eye.cornea is None:
         return False
     front, limbus = eye.cornea.anterior, float(eye.limbus_radius)
-    entry, sine_outside = jnp.meshgrid(
-        jnp.linspace(-limbus, limbus, 201), jnp.linspace(0, 1, 100)[:-1]
-    )
+    places, sines = jnp.linspace(-limbus, limbus, 201), jnp.linspace(0, 1, 100)[:-1]
+    entry, sine_outside = jnp.meshgrid(places, sines)
     origin = jnp.stack([entry, 0 * entry, front.sagitta(entry)], -1)
     inward = -front.normal(origin)
     along = jnp.stack([-inward[..., 2], 0 * entry, inward[..., 0]], -1)  # to the other side
@@ -158,15 +157,14 @@ def reflects_inside(eye: Eye) -> bool:
         for sine in (sine_outside, sine_outside / float(eye.aqueous_index))
     )
     length, hit = front.intersect(origin, inside, far=True)
-    mirror = origin + length[..., None] * inside
+    mirror = advance(origin, length, inside)
     normal = front.normal(mirror)
-    reflected = inside - 2 * (inside * normal).sum(-1, keepdims=True) * normal
+    reflected = reflect_vector(inside, normal)
     backward = reflected[..., 2] > 0
     depth = (float(eye.iris_depth) - mirror[..., 2]) / jnp.where(backward, reflected[..., 2], 1.0)
     landing = mirror[..., 0] + depth * reflected[..., 0]
-    on_cornea = (jnp.abs(mirror[..., 0]) < limbus) & (
-        mirror[..., 2] < front.sagitta(eye.limbus_radius) + 1e-6
-    )
+    end_of_cornea = front.sagitta(eye.limbus_radius) + 1e-6
+    on_cornea = (jnp.abs(mirror[..., 0]) < limbus) & (mirror[..., 2] < end_of_cornea)
     on_iris = (depth > 0) & (jnp.abs(landing) < float(eye.iris_radius))
     enters = outside[..., 2] > jnp.cos(LARGEST_POLAR)
     return bool((hit & enters & backward & on_cornea & on_iris).any())
@@ -301,8 +299,6 @@ def _build(
     if not caustics:
         return Illumination(searched, extent, UNIQUE_POLAR)
     steps = round((LARGEST_POLAR - UNIQUE_POLAR) / _FINE)
-    traced = jax.lax.map(
-        lambda a: trace_flux(eye, a, size, extent, n_rays),
-        UNIQUE_POLAR + _FINE * jnp.arange(1, steps + 1),
-    )
+    grazing = UNIQUE_POLAR + _FINE * jnp.arange(1, steps + 1)
+    traced = jax.lax.map(lambda angle: trace_flux(eye, angle, size, extent, n_rays), grazing)
     return Illumination(jnp.concatenate([searched, traced]), extent, UNIQUE_POLAR + steps * _FINE)

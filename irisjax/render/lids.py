@@ -93,10 +93,7 @@ def lid_colours(
     """Compute the channels of pale skin, of flushed skin, and of the wet conjunctiva, which has no
     melanin.
     """
-    kinds = (
-        (1.1 * lids.melanin, 3 * lids.blood),
-        (0 * lids.melanin, 2.0 * lids.blood),
-    )
+    kinds = (1.1 * lids.melanin, 3 * lids.blood), (0 * lids.melanin, 2.0 * lids.blood)
     flushed_and_wet = [skin_reflectance(wavelengths, *kind) for kind in kinds]
     return jnp.stack([_pale_skin(lids, wavelengths), *flushed_and_wet]) @ weights.T
 
@@ -207,13 +204,8 @@ def lid_radiance(
     cosine_to_halfway = length / 2  # cosine between the light and the half vector
     fresnel_factor = 0.028 + 0.972 * jnp.maximum(1 - cosine_to_halfway, 0.0) ** 5
     exponent = 14 + 200 * pixels.wet
-    sheen = (
-        fresnel_factor
-        * (exponent + 2)
-        / 8
-        * jnp.exp(exponent * jnp.log(upright))
-        * jnp.maximum(cosine, 0.0)
-    )
+    sheen = fresnel_factor * (exponent + 2) / 8 * jnp.exp(exponent * jnp.log(upright))
+    sheen = sheen * jnp.maximum(cosine, 0.0)
     matt = colour * (tint.T @ power)
     return (matt + lamp[:, None] * (tint.T @ (irradiance * sheen))) * (pixels.share / jnp.pi)
 

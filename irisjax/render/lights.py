@@ -21,7 +21,7 @@ LIGHT_LIMITS = {
 """Allowed range of each number of a light."""
 LAMP_DISTANCE = Range(20, np.inf, "mm")
 """Allowed distance of near lamps from the corneal apex."""
-_UNIT_TOLERANCE = 1e-4  # by which the length of a direction may differ from one
+_UNIT_LENGTH = Range(1 - 1e-4, 1 + 1e-4)  # of a direction, within rounding
 
 
 class Lights(eqx.Module):
@@ -108,11 +108,7 @@ class Lights(eqx.Module):
     def __check_init__(self) -> None:
         if is_known(self.towards):
             length = np.linalg.norm(np.asarray(self.towards, np.float64), axis=1)
-            check_range(
-                "length of a lamp's direction",
-                length,
-                Range(1 - _UNIT_TOLERANCE, 1 + _UNIT_TOLERANCE),
-            )
+            check_range("length of a lamp's direction", length, _UNIT_LENGTH)
         for name, allowed in LIGHT_LIMITS.items():
             check_range(f"a lamp's {name}", getattr(self, name), allowed)
         if self.distance is not None and is_known(self.distance):

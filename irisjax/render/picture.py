@@ -303,9 +303,7 @@ def exposure_of_white(scene: Scene) -> float:
     if view.sclera is None:
         raise ValueError("exposure by the white: the camera sees no white of the eye")
     light = np.asarray(surroundings(view, texture(view, scene), scene), np.float64)
-    share = scatter_to_picture(
-        view.sclera, np.asarray(view.sclera.share), (size[1], size[0])
-    ).ravel()
+    share = scatter_to_picture(view.sclera, np.asarray(view.sclera.share), camera.shape).ravel()
     luminance = np.asarray(LUMINANCE) @ light[:, share > 0.8 * share.max()]
     bright = float(np.quantile(luminance, 0.8))
     if not bright > 0:

@@ -74,9 +74,8 @@ def _through_cornea(eye: Eye, camera: Camera, target: Float[Array, "3"]):
     entry = jax.lax.scan(newton, 0.9 * target[:2], shares)[0]
     landed, entry_point = landing(entry, 1.0), cornea_point(cornea, entry)
     edge = eye.limbus_radius + (0.0 if eye.sclera is None else eye.limbus_width / 2)
-    facing = (
-        dot(_view_directions(camera, eye, entry_point), cornea.anterior.normal(entry_point)) < 0
-    )
+    sight = _view_directions(camera, eye, entry_point)
+    facing = dot(sight, cornea.anterior.normal(entry_point)) < 0
     close = norm(landed.point[:2] - target[:2]) < _TOLERANCE
     return entry_point, close & facing & (norm(entry) < edge) & (landed.share > 0)
 

@@ -100,12 +100,10 @@ def product_basis(
     """
     if not polynomials:
         return jnp.ones_like(like)[None]
-    rows = [
-        functools.reduce(
-            jnp.multiply, [values[k] for values, k in zip(polynomials, term, strict=True)]
-        )
-        for term in product_degrees(tuple(len(values) - 1 for values in polynomials))
-    ]
+    rows = []
+    for term in product_degrees(tuple(len(values) - 1 for values in polynomials)):
+        factors = [values[k] for values, k in zip(polynomials, term, strict=True)]
+        rows.append(functools.reduce(jnp.multiply, factors))
     return jnp.stack(rows)
 
 

@@ -135,9 +135,7 @@ def pixel_numbers(part: VisiblePart) -> Int[np.ndarray, " pixels"]:
 
 
 def scatter_to_picture(
-    part: VisiblePart,
-    values: Shaped[np.ndarray, "pixels *channels"],
-    shape: tuple[int, int],
+    part: VisiblePart, values: Shaped[np.ndarray, "pixels *channels"], shape: tuple[int, int]
 ) -> Shaped[np.ndarray, "rows columns *channels"]:
     """Write the values of a part's pixels into a picture that is 0 elsewhere."""
     index = pixel_numbers(part)
@@ -301,9 +299,8 @@ def trace_iris(index: Array, eye: Eye, camera: Camera | AnySize) -> IrisPixels:
         share = jnp.where(visible, 1.0, 0.0)
     else:
         surface = _OuterSurface.trace(eye, origin, direction)
-        front = choose(
-            surface.iris, surface.front, cornea_point(eye.cornea, jnp.stack([aside, zero]))
-        )
+        elsewhere = cornea_point(eye.cornea, jnp.stack([aside, zero]))
+        front = choose(surface.iris, surface.front, elsewhere)
         direction = choose(surface.iris, direction, ahead)
         point, direction, transmitted = refract_to_iris(eye, front, direction)
         iris_share = (1 - surface.blend) * _limbal_ring_share(eye, front)

@@ -50,9 +50,8 @@ class Separable(AbstractTabulated):
         return self.solver.process
 
     def directions(self, iris: Iris, aqueous_index: Scalar) -> "ExitFunctions":
-        return ExitFunctions(
-            indices=angular.surface_indices(iris, aqueous_index), degree=self.degrees[4]
-        )
+        indices = angular.surface_indices(iris, aqueous_index)
+        return ExitFunctions(indices=indices, degree=self.degrees[4])
 
     def lit(self, model: IrisModel, lights: Lights, tables: Illumination | None) -> IrisModel:
         return model.with_flux(lights, tables)

@@ -104,9 +104,8 @@ class AbstractTabulated(AbstractIntegrator):
             status=self._status(status),
             degrees=degrees,
         )
-        return dataclasses.replace(
-            response, error=_largest_error(response, checks, brdf[-1, : len(checks)])
-        )
+        error = _largest_error(response, checks, brdf[-1, : len(checks)])
+        return dataclasses.replace(response, error=error)
 
     def coefficients(
         self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
@@ -231,10 +230,9 @@ def _shade_pixels(
     (coordinates, exit_functions), light = pixels
     if mixtures is not None:
         coefficients = jnp.einsum("pkc,kr->prc", coefficients, mixtures)
-    polynomials = scale_polynomials(coordinates, degrees)
-    return evaluate_products(
-        coefficients, polynomials, light if exit_functions is None else light * exit_functions
-    )
+    if exit_functions is not None:
+        light = light * exit_functions
+    return evaluate_products(coefficients, scale_polynomials(coordinates, degrees), light)
 
 
 def _chunks(points: np.ndarray, size: int) -> list[np.ndarray]:
