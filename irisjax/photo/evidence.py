@@ -176,9 +176,9 @@ def _radial(profile, place, pitch: float) -> float:
         return 0.0
     logs = np.log(profile + 0.02 * (_finite_median(profile) + 1e-3))
     logs = logs - _finite_median(logs, 0)
-    contrasts = (_finite_mean(abs(np.diff(logs, axis=axis)), axis) for axis in (0, 1))
-    around, along = next(contrasts) / (place * (RAYS[1] - RAYS[0])), next(contrasts)
-    around, along = _finite_median(around), _finite_median(along) / pitch
+    around, along = (_finite_mean(abs(np.diff(logs, axis=axis)), axis) for axis in (0, 1))
+    around = _finite_median(around / (place * (RAYS[1] - RAYS[0])))
+    along = _finite_median(along) / pitch
     # Nothing is seen of some candidates beyond the picture's edge: no evidence either.
     share = np.nan_to_num(around / (around + along + 1e-9))
     return float(np.clip((share - 0.25) / 0.25, 0, 1))

@@ -324,9 +324,8 @@ def _find_eyes(
             break
         pair = _refine_pair(photo, near, limbus, pupil)
         outline = pair.limbus.outline
-        if not _is_inside(outline, photo.shape) or any(
-            _similar(outline, p.limbus.outline) for p in pairs
-        ):
+        known = any(_similar(outline, p.limbus.outline) for p in pairs)
+        if known or not _is_inside(outline, photo.shape):
             continue
         pairs.append(pair)
         if pair.worth > _SURE and not all_eyes:

@@ -127,9 +127,8 @@ class Matt(eqx.Module):
             return np.asarray(_brdf_of_pairs(self.response, texels, *directions), np.float64)
 
         lambertian = np.asarray(_albedo(self.response, texels), np.float64) / np.pi
-        (near, near_weights), (all_cosines, all_weights) = (
-            _cosine_nodes(lowest, nodes) for lowest in (np.cos(np.radians(CONE)), 0.0)
-        )
+        near, near_weights = _cosine_nodes(np.cos(np.radians(CONE)), nodes)
+        all_cosines, all_weights = _cosine_nodes(0.0, nodes)
         near_brdf = extreme_brdf = brdf(near)
         if azimuths.size == 1:
             extreme_brdf = brdf(np.cos(np.radians(np.linspace(0, CONE, 26))))

@@ -8,9 +8,7 @@ from irisjax.render.separable import Separable
 from irisjax.render.single_scattering import SingleScattering
 from irisjax.render.tabulated import AbstractTabulated
 
-IntegratorClass = type[Separable] | type[SingleScattering] | type[RadiativeIntegrator]
-
-INTEGRATORS: dict[str, IntegratorClass] = {
+INTEGRATORS: dict[str, type[Separable] | type[SingleScattering] | type[RadiativeIntegrator]] = {
     "separable": Separable,
     "single-scattering": SingleScattering,
     "radiative-transfer": RadiativeIntegrator,

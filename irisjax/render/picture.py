@@ -166,17 +166,17 @@ def texture(view: View, scene: Scene, model: IrisModel | None = None) -> Texels:
         scene: The scene; its lamps and pigments make no difference.
         model: `iris_model(scene)`, which is the same for every view; computed by default.
     """
-    sclera, environment, lids, eye = None, None, None, scene.eye
+    sclera, environment, residual, lids, eye = None, None, None, None, scene.eye
     if view.sclera is not None and eye.sclera is not None:
         table = _sclera_colours(eye.sclera, _spectrum(scene))
         sclera = outside.sclera_base_colour(view.sclera, eye, table, scene.veins)
     if view.mirror is not None and scene.environment is not None:
         environment = outside.mirrored_environment(view.mirror, scene.environment)
+    if view.iris is not None and scene.maps is not None and scene.maps.residual is not None:
+        residual = _residual_at(view.iris, eye, scene.maps.residual)
     if view.lids is not None and eye.lids is not None:
         lids = lid_base_colour(view.lids, _lid_colours(eye.lids, _spectrum(scene)))
-    return Texels(
-        *iris_texels(view, scene, model), sclera, environment, _residual(view, scene), lids
-    )
+    return Texels(*iris_texels(view, scene, model), sclera, environment, residual, lids)
 
 
 def iris_model(scene: Scene) -> IrisModel:
@@ -413,12 +413,6 @@ def _response_arguments(scene: Scene, ranges: Scales | None = None) -> tuple[Any
     bands = _bands(scene.eye.cornea, _spectrum(scene))
     ranges = scale_ranges(scene.iris, scene.maps) if ranges is None else ranges
     return scene.iris, scene.eye.aqueous_index, bands, ranges
-
-
-def _residual(view: View, scene: Scene) -> Float[Array, "channels pixels"] | None:
-    if view.iris is None or scene.maps is None or scene.maps.residual is None:
-        return None
-    return _residual_at(view.iris, scene.eye, scene.maps.residual)
 
 
 @pixelwise
