@@ -84,9 +84,6 @@ class Expected(NamedTuple):
     centre_sd: float = np.inf
 
 
-UNKNOWN = Expected()
-
-
 class FittedEllipse(NamedTuple):
     """An ellipse through edges.
 
@@ -262,10 +259,7 @@ def _step_kernels(span: tuple[float, float], size: int, widths: tuple[float, ...
 
 
 def best_outline(
-    outline: Ellipse,
-    place: Float[np.ndarray, " places"],
-    score: _Profiles,
-    expected: Expected = UNKNOWN,
+    outline: Ellipse, place: Float[np.ndarray, " places"], score: _Profiles, expected: Expected
 ) -> Ellipse:
     """Return the ellipse about a circle along which the mean score is largest: all centres up to
     0.15 radii off, radii and ratios of the axes are tried in steps of a few per cent. Ellipses far
@@ -300,7 +294,7 @@ def best_outline(
 
 
 def refine_outline(
-    outline: Ellipse, value: _Rays, place: _Rays, weight: _Rays, expected: Expected = UNKNOWN
+    outline: Ellipse, value: _Rays, place: _Rays, weight: _Rays, expected: Expected
 ) -> FittedEllipse:
     """Fit an ellipse through the edges of `Edges.strongest`, in which each ray has a `weight`.
 

@@ -384,7 +384,7 @@ def moved_iris(iris: Iris, factors: Float[np.ndarray, "3"]) -> Iris:
     stroma, eumelanin, pheomelanin = (float(f) for f in factors)
     values = iris.layer_concentrations()
     for name in values:
-        values[name] *= eumelanin if name.endswith("eumelanin") and "pheo" not in name else 1
+        values[name] *= eumelanin if name.endswith("eumelanin") else 1
         values[name] *= pheomelanin if name.endswith("pheomelanin") else 1
         values[name] *= stroma if name.startswith("stroma") else 1
     others = "oxyhemoglobin", "deoxyhemoglobin", "lutein", "zeaxanthin"

@@ -60,10 +60,9 @@ class WhiteOfEye(NamedTuple):
         They allow for the spread among people, for light that differs between sheet and white, and
         for the channels of a camera.
         """
-        log_ratio = np.log(self.sides[0] / self.sides[-1]) if len(self.sides) > 1 else None
-        if log_ratio is None:
-            light, tint = _ONE_SIDE_SD, np.full(3, _TINT_SD)
-        else:
+        light, tint = _ONE_SIDE_SD, np.full(3, _TINT_SD)
+        if len(self.sides) > 1:
+            log_ratio = np.log(self.sides[0] / self.sides[-1])
             mean = log_ratio @ LUMINANCE_WEIGHTS
             light, tint = np.hypot(_TURNED_SD, 0.1 * mean), 0.35 * abs(log_ratio - mean)
         log_light = light * normal[:, 3:4] - _TURNED_LIGHT

@@ -5,6 +5,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from irisjax._types import Scalar, float_field
@@ -56,10 +57,8 @@ class Camera(eqx.Module):
     images: Scalar = float_field(1.0)
 
     def __check_init__(self) -> None:
-        whole = self.rows is None  # the parts of a picture may be finer
-        if not all(
-            isinstance(n, int) and n >= 1 and (n <= MAX_SIDE or not whole) for n in self.size
-        ):
+        largest = MAX_SIDE if self.rows is None else np.inf  # the parts of a picture may be finer
+        if not all(isinstance(n, int) and 1 <= n <= largest for n in self.size):
             raise ValueError(
                 f"camera size {self.size} must be two whole numbers from 1 to {MAX_SIDE}"
             )

@@ -125,16 +125,9 @@ def canonical_eye(eye: Eye) -> Eye:
     # Behind a single surface lies the chamber, so that the cornea's index makes no difference.
     index = eye.aqueous_index if cornea.posterior is None else cornea.index
     cornea = dataclasses.replace(cornea, scatter=None, index=index)
-    ignored = {
-        "pupil_radius": 1.0,
-        "pupil_margin": 0.12,
-        "pupil_centre": None,
-        "pupil_harmonics": None,
-        "limbus_width": 1.0,
-        "limbal_ring": None,
-        "lids": None,
-    }
-    return eye.replace(cornea=cornea, sclera=None, **ignored)
+    absent = dict.fromkeys(("pupil_centre", "pupil_harmonics", "limbal_ring", "lids", "sclera"))
+    sizes = {"pupil_radius": 1.0, "pupil_margin": 0.12, "limbus_width": 1.0}
+    return eye.replace(cornea=cornea, **sizes, **absent)
 
 
 def reflects_inside(eye: Eye) -> bool:
