@@ -324,8 +324,7 @@ def colour_iris(
     low, high = (end[:, None, None] for end in ends)
     ranges = scale_ranges(iris, maps_of(np.repeat(np.concatenate([low, high], 1), 2, axis=2)))
     response = respond(ranges, scene.replace(iris=iris))
-    numbers = (logs, before), response, exposure, gain, _STEPS[-1]
-    local = _level(levels[0], *numbers, doubt=doubt)
+    local = _level(levels[0], (logs, before), response, exposure, gain, _STEPS[-1], doubt=doubt)
     logs = polar(local.logs, known)
     off, encoded = local.off[known], (np.maximum(target * exposure, 0) + _DARK)[known] ** _POWER
     explained = 1 - (off**2).sum() / ((encoded - encoded.mean(0)) ** 2).sum()

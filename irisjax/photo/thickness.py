@@ -53,7 +53,6 @@ class Morphology(NamedTuple):
 
     Attributes:
         maps: `stroma_depth`, and `freckles` if there are any; the ABL is equally thick everywhere.
-        freckles: Mask of texels.
         deconvolved: Pixel values less their mean [F09 Eq. 5] after deconvolution [F09 Eq. 6]; 0
             where the texture is not valid.
         thickness: Thickness of the stroma, mm [F09 Eq. 7], complete.
@@ -64,7 +63,6 @@ class Morphology(NamedTuple):
     """
 
     maps: IrisMaps
-    freckles: Mask
     deconvolved: Brightness
     thickness: Brightness
     clamped: int
@@ -126,7 +124,7 @@ def shape_maps(
     if freckles.any():  # limited against the rounding of means
         maps = maps.replace(freckles=jnp.asarray(np.clip(texture.to_polar(spots, shape), 0, 1)))
     count = int((clamped & used).sum())
-    return Morphology(maps, freckles, deconvolved, thickness, count, sigma_mm, response)
+    return Morphology(maps, deconvolved, thickness, count, sigma_mm, response)
 
 
 def freckle_mask(texture: Unrefracted, given: Mask | None = None) -> Mask:

@@ -266,7 +266,7 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
         lighting=SimpleNamespace(found=0),
         windows=windows,
         fit=fit,
-        estimate=lambda: Morphology(ij.IrisMaps(), dark > 0, dark, dark, 0, 0.0, 0.05),
+        estimate=lambda: Morphology(ij.IrisMaps(), dark, dark, 0, 0.0, 0.05),
         texels=SimpleNamespace(gain=4.0, outside=0.2),
         posterior=PigmentPosterior({}, {}, np.zeros((1, 10)), 150.2, 32, False),
     )
