@@ -4,6 +4,7 @@ made of.
 
 import abc
 import dataclasses
+import functools
 import math
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
@@ -199,7 +200,8 @@ class Session(abc.ABC, Generic[S]):
         # `trace_shares` selects those of each part, and a new number of them compiles a new
         # program, which would interrupt the dragging of the camera.
         seen = *values_of(s, CAMERA), scene.integrator.pixels_apart
-        tracers = kept.tracers.of(seen, lambda: (_projected if draft else trace_shares)(scene))
+        whole = functools.partial(_compiled_project, scene.eye, scene.camera)
+        tracers = kept.tracers.of(seen, lambda: [whole] if draft else trace_shares(scene))
         kept.shares += [KeptShare() for _ in range(len(tracers) - len(kept.shares))]
         surfaces = values_of(s, (*CAMERA, "environment", "strength", *self._SURFACES))
         grazing = self._grazing.of(values_of(s, LIGHT), scene.grazing)
@@ -221,7 +223,8 @@ class Session(abc.ABC, Generic[S]):
         outside, iris = ([share[i] for share in shares] for i in (0, 1))
         size = scene.camera.size
         surroundings = kept.around.of(lit, lambda: add_parts(black_picture(scene, size), outside))
-        picture = encoded(add_parts(surroundings, iris, size), s.exposure)
+        picture = add_parts(surroundings, iris, size)
+        picture = np.asarray(_encoded(picture, jnp.asarray(s.exposure, picture.dtype)))
         return picture, None if response.error is None else float(response.error)
 
     def environments(self) -> tuple[str, ...]:
@@ -284,18 +287,10 @@ class Session(abc.ABC, Generic[S]):
         return Environment(found.radiance * s.strength)
 
 
-def encoded(picture: Any, exposure: float) -> np.ndarray:
-    """Encode a linear picture as sRGB, 8 bits."""
-    return np.asarray(_encoded(picture, jnp.asarray(exposure, picture.dtype)))
-
-
-def _projected(scene: Scene) -> list[Callable[[], View]]:
-    return [lambda: _compiled_project(scene.eye, scene.camera)]
-
-
 _compiled_project = eqx.filter_jit(project)
 
 
 @eqx.filter_jit
 def _encoded(picture: Array, exposure: Array) -> Array:
+    """Encode a linear picture as sRGB, 8 bits."""
     return jnp.asarray(255 * jnp.clip(srgb_encode(exposure * picture), 0, 1) + 0.5, jnp.uint8)
