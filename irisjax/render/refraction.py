@@ -205,12 +205,9 @@ class RefractionFunction(eqx.Module):
         polar = jnp.arctan2(norm(towards_light[..., :2]), -towards_light[..., 2])
         azimuth = jnp.arctan2(point[..., 1], point[..., 0]) - light_azimuth
         azimuth = jnp.arctan2(jnp.sin(azimuth), jnp.cos(azimuth))  # −π to π
-        n_polar, n_azimuth, n_radius, _ = self.entry.shape
-        values = multilinear(
-            jnp.concatenate([self.entry, self.flux], axis=-1),
-            (polar / UNIQUE_POLAR * (n_polar - 1), jnp.abs(azimuth) / jnp.pi * (n_azimuth - 1),
-             radius / self.radius * (n_radius - 1)),
-        )  # fmt: skip
+        place = polar / UNIQUE_POLAR, jnp.abs(azimuth) / jnp.pi, radius / self.radius
+        index = [p * (n - 1) for p, n in zip(place, self.entry.shape[:3], strict=True)]
+        values = multilinear(jnp.concatenate([self.entry, self.flux], axis=-1), index)
         side = jnp.where(azimuth < 0, -1.0, 1.0)
         cos, sin = jnp.cos(light_azimuth), jnp.sin(light_azimuth)
 
