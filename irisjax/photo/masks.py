@@ -160,10 +160,8 @@ def select_regions(predicate: Callable[[Any, tuple[np.ndarray, ...]], Any], mask
 
 def remove_islands(clear: Mask) -> Mask:
     """Return the mask without small separate parts: slivers along the edge of a lid."""
-    label = np.asarray(measure.label(clear))
-    size = np.bincount(label.ravel())
-    size[0] = 0
-    return clear & (size > _ISLAND * clear.sum())[label]
+    largest = _ISLAND * clear.sum()
+    return np.asarray(morphology.remove_small_objects(clear, max_size=largest, connectivity=2))
 
 
 def find_highlights(pixels: Colours, saturated: Mask, iris: Mask) -> Mask:
