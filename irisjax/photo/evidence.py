@@ -69,9 +69,8 @@ def weigh_outlines(photo: Photograph, limbus: FittedEllipse, pupil: FittedEllips
     """Weigh two outlines by what a photograph shows along them and on both sides of them."""
     outer, inner = limbus.outline, pupil.outline
     half = np.array(photo.shape[::-1]) / 2
-    visible_shares = [
-        (abs(e.points(RAYS) + 0.5 - half) < half).all(1).mean() for e in (outer, inner)
-    ]
+    within = [(abs(e.points(RAYS) + 0.5 - half) < half).all(1) for e in (outer, inner)]
+    visible = min(points.mean() for points in within)
     (picture, redness), circle, _ = limbus_part(photo, outer, _JUDGED_RADIUS)
     span, steps = (0.02, 1.4), 70
     place = np.linspace(*span, steps)
@@ -104,7 +103,7 @@ def weigh_outlines(photo: Photograph, limbus: FittedEllipse, pupil: FittedEllips
         colourless=colourless,
         radial=_radial(profile[:, texture], place[texture], float(place[1] - place[0])),
         shape=plausibility(outer, inner),
-        whole=float(np.clip((min(visible_shares) - 0.5) / 0.15, 0, 1)),
+        whole=float(np.clip((visible - 0.5) / 0.15, 0, 1)),
         fine=min(1.0, outer.semi_axes[1] / 30),
         limbus_placed=1 / (1 + (limbus.place_sd / _PLACE_SCALE) ** 2),
         pupil_placed=1

@@ -203,7 +203,6 @@ def _place_plausibility(limbus: Ellipse, pupil: Ellipse) -> float:
 
 
 def _fit_pupil(picture, clipped, circle: Ellipse, expected: edges.Expected) -> FittedEllipse:
-    """Fit a pupil near a circle."""
     span = (0.5, 1.65)
     profile = _profile(picture, clipped, circle, span, 93)
     steps = edges.fit_steps(profile, span, _PUPIL_WIDTHS[1:], 0.2)

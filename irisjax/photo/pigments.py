@@ -424,7 +424,6 @@ def _recorded(values, radiance):
 
 
 def _exposures(values):
-    """Exposures of the three channels."""
     red, blue = values["red_gain"], values["blue_gain"]
     return values["exposure"] * jnp.stack([red, jnp.ones_like(red), blue])
 

@@ -243,9 +243,8 @@ def project_iris_points(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the columns and rows in which points of the iris (mm) appear, and whether they do."""
     # A camera of one size for all photographs, so that one compiled program serves them all.
-    camera_of_one_size = Camera(
-        camera.polar, camera.azimuth, camera.distance, cast(Any, 2.0), (2, 2)
-    )
+    place = camera.polar, camera.azimuth, camera.distance
+    camera_of_one_size = Camera(*place, cast(Any, 2.0), (2, 2))
     projected = _project(eye.replace(pupil_centre=None), camera_of_one_size, jnp.asarray(points))
     (columns, rows), pitch = camera.size, float(camera.width) / camera.size[0]
     column = (np.asarray(projected.column) - 0.5) / pitch + columns / 2 - 0.5

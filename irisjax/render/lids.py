@@ -210,13 +210,6 @@ def lid_radiance(
     return (matt + lamp[:, None] * (tint.T @ (irradiance * sheen))) * (pixels.share / jnp.pi)
 
 
-def frontal_irradiance(
-    lights: Lights, lamp: Float[Array, " channels"]
-) -> Float[Array, " channels"]:
-    """Compute the irradiance of a surface that faces out of the face."""
-    return lamp * lights.irradiance_on(jnp.asarray([0.0, 0.0, -1.0], lights.towards.dtype))
-
-
 def lid_visibility(
     eye: Eye, point: Coordinates, towards: Coordinates, spread: Float[Array, "..."] | float
 ) -> Float[Array, "..."]:

@@ -24,7 +24,7 @@ from irisjax.render.bands import Bands, colour_bands, spectral_bands
 from irisjax.render.environment import LUMINANCE
 from irisjax.render.illumination import Illumination
 from irisjax.render.integrator import AbstractResponse, solve_response
-from irisjax.render.lids import LASH, frontal_irradiance, lid_base_colour, lid_colours, lid_radiance
+from irisjax.render.lids import LASH, lid_base_colour, lid_colours, lid_radiance
 from irisjax.render.outside import ColourTable, colour_table
 from irisjax.render.project import (
     LEAST_PADDED,
@@ -262,7 +262,8 @@ def surrounding_parts(view: View, texels: Texels, scene: Scene) -> Radiances:
     if eye.lids is not None or view.sclera is not None:
         lights = scene.all_lights(largest_polar=None)
     if eye.lids is not None and lights is not None:
-        frontal = frontal_irradiance(lights, lamp) / jnp.pi
+        out_of_face = jnp.asarray([0.0, 0.0, -1.0], lights.towards.dtype)
+        frontal = lamp * lights.irradiance_on(out_of_face) / jnp.pi
         skin = _lid_colours(eye.lids, _spectrum(scene))[0]
         mirrored_lids = 0.3 * skin * frontal
         if view.lids is not None and texels.lids is not None:
@@ -275,9 +276,8 @@ def surrounding_parts(view: View, texels: Texels, scene: Scene) -> Radiances:
         sclera = outside.sclera_radiance((view.sclera, texels.sclera), lights, eye, skin)
         parts["sclera"] = view.sclera.index, sclera
     if view.mirror is not None:
-        images = outside.tear_film_radiance(
-            (view.mirror, texels.environment), scene.lights, lamp, eye, mirrored_lids
-        )
+        film = view.mirror, texels.environment
+        images = outside.tear_film_radiance(film, scene.lights, lamp, eye, mirrored_lids)
         parts["film"] = view.mirror.index, scene.camera.images * images
     return parts
 

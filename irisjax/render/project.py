@@ -249,10 +249,9 @@ def _attenuate_by_lashes(view: View, lashes: Float[Array, " pixels"] | None) -> 
     """Reduce the parts of a view by what lashes cover of each pixel of the picture."""
     if lashes is None:
         return view
-    names = "iris", "sclera", "mirror", "lids"
     shown: dict[str, Any] = {
         name: _attenuate(part, 1 - (lashes if part.index is None else lashes[part.index]))
-        for name in names
+        for name in ("iris", "sclera", "mirror", "lids")
         if (part := getattr(view, name)) is not None
     }
     return dataclasses.replace(view, **shown, lashes=lashes)

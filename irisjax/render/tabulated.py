@@ -188,9 +188,8 @@ class TabulatedResponse(AbstractResponse):
         the mirror of the first surface and without unscattered light. Where no scale varies there
         is one pixel.
         """
-        cosine, weights = (
-            jnp.asarray(v, self.error.dtype) for v in gauss_legendre(_QUADRATURE_NODES)
-        )
+        rule = gauss_legendre(_QUADRATURE_NODES)
+        cosine, weights = (jnp.asarray(v, self.error.dtype) for v in rule)
         functions = self.directions.functions(jnp.full_like(cosine, cos_incidence), cosine, None)
         # The functions are integrated once, in place of a sum over directions for each pixel.
         moments = functions @ (2 * jnp.pi * weights * cosine)
