@@ -193,8 +193,7 @@ def _panorama(
     """Lay what pixels mirror into a panorama whose irradiance, on surfaces that face it, is one;
     return also what it was before.
     """
-    near: Any = ndimage.binary_dilation(seen, iterations=2)
-    near = near & mirrored.any(-1)
+    near = np.asarray(ndimage.binary_dilation(seen, iterations=2), bool) & mirrored.any(-1)
     tree = spatial.KDTree(mirrored[near])
     pitch = np.median(tree.query(mirrored[near], 2)[0][:, 1])
     rows = int(np.clip(np.pi / pitch, 32, _PANORAMA_ROWS))

@@ -78,18 +78,17 @@ class Scene(eqx.Module):
         lights = self.lights
         if lights is not None and lights.illuminant != self.illuminant:
             raise ValueError(f"the lights are {lights.illuminant}, the scene is {self.illuminant}")
-        coloured = self.environment is not None or (lights is not None and lights.tint is not None)
-        residual = None if self.maps is None else self.maps.residual
-        if self.wavelengths is not None and residual is not None:
-            raise ValueError(
-                "spectral pictures need maps without a residual, which has colours and no spectrum "
-                "(--no-residual)"
-            )
-        if self.wavelengths is not None and coloured:
-            raise ValueError(
-                "spectral pictures need plain lamps: environments and tints have colours, not "
-                "spectra"
-            )
+        if self.wavelengths is not None:
+            if self.maps is not None and self.maps.residual is not None:
+                raise ValueError(
+                    "spectral pictures need maps without a residual, which has colours and no "
+                    "spectrum (--no-residual)"
+                )
+            if self.environment is not None or (lights is not None and lights.tint is not None):
+                raise ValueError(
+                    "spectral pictures need plain lamps: environments and tints have colours, not "
+                    "spectra"
+                )
         if lights is not None and is_known(lights.radius):
             widest = float(np.max(np.asarray(lights.radius)))
             # Wider lights approximate regions of an environment, which is mirrored itself.
