@@ -199,17 +199,16 @@ def clone_command(
     workers.check(results.batch)
     if results.colour and "stop_after" in results.typed:
         raise ValueError("--colour does not go with --stop-after: it needs the outlines only")
-    stages = _stages(results)
+    drawing = beside() if "pigments" in _stages(results) else nullcontext(here)
     if results.batch is not None:
-        from irisjax.cli import clones
+        from irisjax.cli.clones import clone_many
 
-        with beside() if "pigments" in stages else nullcontext(here) as draw:
-            run = clones.clone_many(results.batch, picture, model, results, draw, workers)
-            raise typer.Exit(run)
+        with drawing as draw:
+            raise typer.Exit(clone_many(results.batch, picture, model, results, draw, workers))
     assert picture.photograph is not None
     contents = "an eye's colours" if results.colour else "a clone"
     check_folder(results.output, results.summary, contents, results.overwrite)
-    with beside() if "pigments" in stages else nullcontext(here) as draw:
+    with drawing as draw:
         run = run_clone(picture.photograph, picture, model, results, results.output, draw)
     for note in run.found.photograph.notes:
         opt.notice(f"{picture.photograph}: {note}")

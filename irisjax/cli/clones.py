@@ -1,6 +1,5 @@
 """`irisjax clone --batch`: a folder for each photograph, a table and a contact sheet."""
 
-import dataclasses
 import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -92,9 +91,8 @@ def _clone_one(
 ) -> EyeRow:
     """Clone a photograph and return its row."""
     (folder / results.summary).unlink(missing_ok=True)  # marks a photograph that is done
-    options = dataclasses.replace(picture, photograph=path)
     try:
-        run = run_clone(path, options, model, results, folder, draw or here, True)
+        run = run_clone(path, picture, model, results, folder, draw or here, True)
         return _row(path.name, run, jax.random.key(model.seed))
     except Exception as error:
         # An error in one photograph, even a fault of the program, must not end a long run: it is
