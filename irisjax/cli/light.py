@@ -137,17 +137,16 @@ class BandedLight(BandOptions, EyeLight):
             raise ValueError("--bands has its own wavelengths: give it without --wavelengths")
 
     def instrument_arguments(self) -> dict[str, Any]:
-        """Return the arguments that every instrument takes, including the bands."""
-        arguments = super().instrument_arguments()
-        if self.aperture is not None:
-            arguments["aperture"] = self.aperture
-        bands = self.read_bands()
-        return arguments if bands is None else {**arguments, "bands": bands}
+        """Return the arguments that every instrument takes; some take no aperture or bands."""
+        given = {"aperture": self.aperture, "bands": self.read_bands()}
+        return super().instrument_arguments() | {n: v for n, v in given.items() if v is not None}
 
     def settings(self) -> dict[str, Any]:
         """Return the options to write, without wavelengths if bands are given."""
-        omitted = () if self.bands is None else ("wavelengths",)
-        return {n: v for n, v in super().settings().items() if v is not None and n not in omitted}
+        options = super().settings()
+        if self.bands is not None:
+            del options["wavelengths"]
+        return options
 
 
 def with_band_centres(light: Any) -> Any:
