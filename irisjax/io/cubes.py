@@ -71,12 +71,10 @@ def read_cube(
     if not path.exists():
         raise FileNotFoundError(2, "No such file or directory", str(path))
     with naming(path):
-        header = path.suffix.lower() == ".hdr"
-        if not header and path.is_file():
+        if path.suffix.lower() != ".hdr" and path.is_file():
             headers = [path.with_suffix(".hdr"), path.with_name(path.name + ".hdr")]
             path = next((p for p in headers if p.exists()), path)
-            header = path.suffix.lower() == ".hdr"
-        if header:
+        if path.suffix.lower() == ".hdr":
             return _sorted(_envi(path, wavelength_unit))
         if path.suffix.lower() in _XARRAY:
             return _sorted(_xarray(path, variable, wavelength_unit))
