@@ -138,19 +138,18 @@ def gltf_files(
         file_type="glb", include_normals=True, unitize_normals=True, tree_postprocessor=finish
     )
     assert isinstance(data, bytes)
-    names = {f"iris_{name}.png": pictures.get(slot) for slot, name in _NAMES.items()}
     return {"eye.glb": data} | {
-        name: encode_png(name, picture, remark="simulated by irisjax")[0]
-        for name, picture in names.items()
-        if picture is not None
+        name: encode_png(name, pictures[slot], remark="simulated by irisjax")[0]
+        for slot, name in _FILES.items()
+        if slot in pictures
     }
 
 
-_NAMES = {
-    "baseColorTexture": "base_color",
-    "normalTexture": "normal",
-    "metallicRoughnessTexture": "roughness",
-    "occlusionTexture": "thickness",
+_FILES = {
+    "baseColorTexture": "iris_base_color.png",
+    "normalTexture": "iris_normal.png",
+    "metallicRoughnessTexture": "iris_roughness.png",
+    "occlusionTexture": "iris_thickness.png",
 }
 
 
