@@ -307,13 +307,10 @@ def _factor_of_sd(name: str, scans: np.ndarray) -> np.ndarray | float:
 
 
 def _check_unit_of_sd(name: str, unit: str) -> None:
-    forms = {"percent": _PERCENT, "fraction": _FRACTION}
-    if _RELATIVE.search(name):
-        return
-    for other, form in forms.items():
-        if other != unit and form.search(name):
-            to_do = "in the unit of the values, or call it 'relative sd' (of each value)"
-            raise ValueError(f"column {name!r} is beside a {unit}: give it {to_do}")
+    other = _FRACTION if unit == "percent" else _PERCENT
+    if other.search(name) and not _RELATIVE.search(name):
+        to_do = "in the unit of the values, or call it 'relative sd' (of each value)"
+        raise ValueError(f"column {name!r} is beside a {unit}: give it {to_do}")
 
 
 def _smooth(scans: np.ndarray) -> np.ndarray:
