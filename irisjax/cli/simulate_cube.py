@@ -63,7 +63,6 @@ def simulate_cube_command(
     inside = (radius_of_pixel > _PUPIL) & (radius_of_pixel < _LIMBUS)
     truth = _true_maps(eye, radius_of_pixel, angle_of_pixel, key)
     blank = ij.spectrum(grid, np.zeros(grid.size), **light.instrument_arguments())
-    levels = np.float64(light.relative_noise), np.float64(light.absolute_noise)
     varied = (*_VARIED, "scattering_scale")
     problem = ij.problem(blank, free=varied, fixed={"gain": light.gain}, base=eye, process=rules)
     with ThreadPoolExecutor(2) as pool:
@@ -71,7 +70,7 @@ def simulate_cube_command(
     values = np.where((radius_of_pixel < _PUPIL)[..., None], _INSIDE, np.full(grid.size, _OUTSIDE))
     values[inside] = spectra
     random = np.random.default_rng([light.seed, 1])
-    sd = np.hypot(levels[0] * values, levels[1])
+    sd = np.hypot(light.relative_noise * values, light.absolute_noise)
     values += sd * random.standard_normal(values.shape)
     radius, distance, angle = _HIGHLIGHT
     centre = middle + size * distance * np.array([-np.sin(angle), np.cos(angle)])
@@ -91,8 +90,8 @@ def simulate_cube_command(
         **({} if light.bandwidth is None else {"fwhm": _braced([light.bandwidth] * grid.size)}),
         "simulated": description, "process": option_of(rules), **outlines,
         "scattering_scale": f"{float(eye.scattering_scale):g}", "gain": f"{light.gain:g}",
-        "relative noise": f"{levels[0]:g}", "absolute noise": f"{levels[1]:g}",
-        "seed": light.seed,
+        "relative noise": f"{light.relative_noise:g}",
+        "absolute noise": f"{light.absolute_noise:g}", "seed": light.seed,
     }  # fmt: skip
     folder.mkdir(parents=True, exist_ok=True)
     names = {"simulated": "counts of a camera, not a measurement"}
@@ -101,13 +100,13 @@ def simulate_cube_command(
         "dark.csv": format_table(names, {"wavelength_nm": grid, "dark": 0 * grid + _DARK}),
         "cube.hdr": "ENVI\n" + "".join(f"{k} = {v}\n" for k, v in header.items()),
     }
-    variables, missing = {n: ((), "f4", {"units": unit_of(n) or "1"}) for n in truth}, np.nan
+    variables = {n: ((), "f4", {"units": unit_of(n) or "1"}) for n in truth}
     with (
         replacing(folder / "truth.nc") as temporary,
         writing_maps(temporary, inside.shape, variables, {}, {"simulated": description}) as write,
     ):
         for name, array in truth.items():
-            write(name, 0, np.where(inside, array, missing))
+            write(name, 0, np.where(inside, array, np.nan))
     data = {folder / name: text.encode() for name, text in tables.items()}
     io.write_together(data | {folder / "cube.img": counts.transpose(0, 2, 1).tobytes()})
     options = " ".join(f"--{name} {text}" for name, text in outlines.items())
