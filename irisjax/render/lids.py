@@ -93,9 +93,9 @@ def lid_colours(
     """Compute the channels of pale skin, of flushed skin, and of the wet conjunctiva, which has no
     melanin.
     """
-    kinds = (1.1 * lids.melanin, 3 * lids.blood), (0 * lids.melanin, 2.0 * lids.blood)
-    flushed_and_wet = [skin_reflectance(wavelengths, *kind) for kind in kinds]
-    return jnp.stack([_pale_skin(lids, wavelengths), *flushed_and_wet]) @ weights.T
+    flushed = skin_reflectance(wavelengths, 1.1 * lids.melanin, 3 * lids.blood)
+    wet = skin_reflectance(wavelengths, 0 * lids.melanin, 2.0 * lids.blood)
+    return jnp.stack([_pale_skin(lids, wavelengths), flushed, wet]) @ weights.T
 
 
 def _pale_skin(lids: Lids, wavelengths: ArrayLike) -> Float[Array, " wavelengths"]:
