@@ -74,7 +74,7 @@ class Painted(AbstractIntegrator):
         """Compute everything that does not depend on the coats."""
         extent = _Extent(self.painting.profile, eye.iris_radius, eye.pupil_margin)
         flux = incident_flux(lights, eye, tables)
-        seen, state = _geometry(pixels, extent, eye, flux)
+        seen, state = _geometry(pixels, extent, flux)
         return PaintBase(seen, state, *_above_all(flux, extent.reach, SHADOW), lights.tint, extent)
 
     def paint(
@@ -203,9 +203,7 @@ def _groups(painting: Painting) -> list[list[Coat]]:
 
 
 @pixelwise
-def _geometry(
-    pixels: IrisPixels, extent: _Extent, eye: Eye, flux: Array
-) -> tuple[_Geometry, _State]:
+def _geometry(pixels: IrisPixels, extent: _Extent, flux: Array) -> tuple[_Geometry, _State]:
     """Compute where pixels see the base, extended to the axis and past the root, and the first
     state.
     """
