@@ -102,7 +102,8 @@ _library_forward = partial(solve_triangular, lower=True)
 
 def _cholesky(a):
     n = a.shape[0]
-    padded = _pad(a)
+    # Whole blocks, with ones on the diagonal.
+    padded = jnp.eye(-(-n // _BLOCK) * _BLOCK, dtype=a.dtype).at[:n, :n].set(a)
     row_numbers = jnp.arange(padded.shape[0])[:, None]
 
     def step(k, root):
@@ -114,12 +115,6 @@ def _cholesky(a):
 
     root = jax.lax.fori_loop(0, row_numbers.size // _BLOCK, step, jnp.zeros_like(padded))
     return jnp.tril(root)[:n, :n]
-
-
-def _pad(a):
-    """Pad a matrix to whole blocks, with ones on the diagonal."""
-    n = a.shape[0]
-    return jnp.eye(-(-n // _BLOCK) * _BLOCK, dtype=a.dtype).at[:n, :n].set(a)
 
 
 def _forward(root, b):
