@@ -44,7 +44,7 @@ def phase_matrices(
     phase: PhaseMixture, moments: jax.Array, peak: Real, orders: Reals, lines: Lines
 ) -> tuple[jax.Array, jax.Array]:
     """Azimuthal orders of a phase function without its forward peak, light that keeps its sense of
-    travel and light that turns back, each (orders, rows, columns).
+    travel and light that turns back, each (orders, rows, columns); the first order is 0.
 
     They are Σ (2l + 1) χ_l Λ_l(μ) Λ_l(±μ') with the `moments` χ_l, but that order 0 goes into the
     nodes by `_means`: `phase` less its share `peak`.
@@ -57,8 +57,6 @@ def phase_matrices(
     sign = jnp.asarray((-1.0) ** (degree[None] + orders[:, None]), moments.dtype)[..., None]
     left = jnp.swapaxes(rows, 1, 2)
     same, opposite = left @ weighted, left @ (sign * weighted)
-    if orders[0]:
-        return same, opposite
     same_0, opposite_0 = _means(phase, moments, peak, lines)
     return same.at[0, :n].set(same_0), opposite.at[0, :n].set(opposite_0)
 
