@@ -264,14 +264,12 @@ class Iris(eqx.Module):
 
     def with_layers(self, concentrations: Mapping[str, Any]) -> "Iris":
         """Return a copy with the melanins of both layers, by the names `CONCENTRATIONS`."""
-        depths = jnp.stack([self.abl_thickness, self.stroma_thickness])
         fields = {}
         for kind, share in zip(("eumelanin", "pheomelanin"), _SHARES, strict=True):
-            layers = [concentrations[f"{layer}_{kind}"] for layer in ("abl", "stroma")]
-            mass = layers[0] * depths[0], layers[1] * depths[1]
-            total = mass[0] + mass[1]
+            abl = concentrations[f"abl_{kind}"] * self.abl_thickness
+            total = abl + concentrations[f"stroma_{kind}"] * self.stroma_thickness
             fields[kind] = total / (self.abl_thickness + self.stroma_thickness)
-            fields[share] = share_of(mass[0], total, 0.5)
+            fields[share] = share_of(abl, total, 0.5)
         return self.replace(**fields)
 
     def layer_concentrations(self) -> dict[str, float]:
