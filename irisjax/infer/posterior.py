@@ -239,11 +239,9 @@ def _initial_ensemble(
 ) -> ChainStart:
     """The walkers' first places, and the samples that their jumps are adapted to."""
     random = np.random.RandomState([*words_of(key), 1 << 31])
-
-    def progress(rounds: int) -> None:
-        report(0, "importance sampling")
-
-    proposal = importance_sample(target.log_density, start, random, progress)
+    proposal = importance_sample(
+        target.log_density, start, random, lambda rounds: report(0, "importance sampling")
+    )
     places = proposal.samples[random.choice(len(proposal.samples), walkers, walkers > DRAWS)]
     # Differences of walkers on one spot would be zero.
     jitter = random.standard_normal(places.shape)
