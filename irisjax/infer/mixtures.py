@@ -24,10 +24,7 @@ class Mixture(NamedTuple):
 
     @classmethod
     def of_draws(
-        cls,
-        draws: Float[np.ndarray, "draws free"],
-        components: int,
-        random: np.random.RandomState,
+        cls, draws: Float[np.ndarray, "draws free"], components: int, random: np.random.RandomState
     ) -> "Mixture":
         """Fit a mixture to draws of equal weight."""
         count, free = draws.shape
@@ -40,10 +37,7 @@ class Mixture(NamedTuple):
         return initial.refined(draws, np.full(count, 1 / count), 20)
 
     def refined(
-        self,
-        samples: Float[np.ndarray, "n free"],
-        weights: Float[np.ndarray, " n"],
-        steps: int,
+        self, samples: Float[np.ndarray, "n free"], weights: Float[np.ndarray, " n"], steps: int
     ) -> "Mixture":
         """Fit it to weighted samples by expectation maximisation from here; components that too few
         effective samples support are left out  [Cappé et al. 2008].

@@ -71,10 +71,7 @@ def reflectance_of(
 
 
 def nearest_tissue(
-    painting: Painting,
-    eye: Eye,
-    *,
-    shape: tuple[int, int] = TEXTURE_SHAPE,
+    painting: Painting, eye: Eye, *, shape: tuple[int, int] = TEXTURE_SHAPE
 ) -> Tissue:
     """Find maps of both melanins and of the stroma's thickness that look most like paint in plan
     view.

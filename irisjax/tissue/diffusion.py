@@ -32,10 +32,7 @@ def diffuse_reflectance(
 
 
 def slab_reflectance(
-    absorption: Spectrum,
-    scattering: Spectrum,
-    thickness: Scalar | float,
-    background: Spectrum,
+    absorption: Spectrum, scattering: Spectrum, thickness: Scalar | float, background: Spectrum
 ) -> Spectrum:
     """Diffuse reflectance of a slab by two fluxes, see `layer_before`.
 

@@ -22,12 +22,7 @@ from irisjax.tissue.layers import Layers
 from irisjax.transport import lanes
 from irisjax.transport.ilit.analog import ilit_event
 from irisjax.transport.light import Directions, Light, first_surface
-from irisjax.transport.process import (
-    ILIT_2006,
-    AbstractProcess,
-    Ilit,
-    RadiativeTransfer,
-)
+from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit, RadiativeTransfer
 from irisjax.transport.radiative.analog import radiative_event
 from irisjax.transport.solution import Absorbed, Solution, outcome
 from irisjax.transport.solver import AbstractSolver, check_layers
