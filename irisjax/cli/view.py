@@ -1,6 +1,7 @@
 """`irisjax view`: the interactive viewer."""
 
 import dataclasses
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -57,9 +58,7 @@ def view_command(subject: ViewSubject, coats: Coats, window: Window) -> None:
     if painted:
         recipe = coats.read(subject.seed)
         with coats.in_file():
-            content = Bench(
-                recipe, lambda scene: change_scene(scene, size=window.size), cached_tables
-            )
+            content = Bench(recipe, partial(change_scene, size=window.size), cached_tables)
     else:
         content = _studio(subject, window.size)
 
