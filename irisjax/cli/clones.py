@@ -89,7 +89,6 @@ def _clone_one(
     folder: Path,
     draw: Callable[..., Later] | None,
 ) -> EyeRow:
-    """Clone a photograph and return its row."""
     (folder / results.summary).unlink(missing_ok=True)  # marks a photograph that is done
     try:
         run = run_clone(path, picture, model, results, folder, draw or here, True)

@@ -309,7 +309,6 @@ def _version_of(programs: Path) -> Path:
 
 
 def _all_but_newest(parent: Path, count: int) -> list[Path]:
-    """List all but the newest files and folders in a folder."""
     return sorted(parent.glob("*"), key=lambda p: -p.stat().st_mtime)[count:]
 
 

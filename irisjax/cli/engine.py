@@ -61,7 +61,6 @@ class Workers(opt.Group, panel="Workers"):
 
     @property
     def in_other_processes(self) -> bool:
-        """Whether the work runs in other processes."""
         return self.workers is not None or self.scheduler is not None
 
 

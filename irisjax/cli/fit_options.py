@@ -180,14 +180,11 @@ class Measurements(SpectralMeasurement):
 
     @property
     def reading_options(self) -> ReadOptions:
-        """Options of `irisjax.io.read_measured`."""
         names: Any = ReadOptions.__annotations__
         return ReadOptions(**{name: getattr(self, name) for name in names})
 
 
 class PixelModel(opt.Group, panel="Model"):
-    """Model of a spectrum."""
-
     free: tuple[str, ...] | None = opt.option(
         "parameters to infer, separated by commas; default: those marked * below",
         parse=_parse_names,
@@ -261,7 +258,6 @@ class Sampler(opt.Group, panel="Sampler"):
 
     @property
     def key(self) -> jax.Array:
-        """The key of a run."""
         return opt.key_of(self.seed)
 
 

@@ -58,5 +58,4 @@ class KeptPieces(NamedTuple):
             return dict(file)
 
     def remove(self) -> None:
-        """Remove all parts."""
         shutil.rmtree(self.folder, ignore_errors=True)

@@ -40,7 +40,6 @@ class PaintOptions(opt.Group, panel="What"):
         return self.changed(Recipe(coats(self.type, self.colour, seed=seed)))
 
     def changed(self, recipe: Recipe) -> Recipe:
-        """Apply the options' changes to a recipe."""
         if self.mixing is not None:
             paints = recipe.paints if self.mixing == "kubelka-munk" else None
             recipe = recipe._replace(mixing=self.mixing, paints=paints)

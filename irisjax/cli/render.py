@@ -96,7 +96,6 @@ class PictureOptions(opt.Group, panel="Picture"):
 
     @property
     def suffixes(self) -> tuple[str, ...]:
-        """Allowed suffixes of the picture's file."""
         if self.animate is not None:
             return ".gif", ".mp4", ".png"
         return (".png", ".exr") if self.spectral is None else (".exr",)

@@ -53,7 +53,6 @@ class Subject(opt.Group, panel="What"):
         return self.changing(parse_scene(studio, f"preset {self.preset}"))
 
     def changing(self, file: SceneFile) -> SceneFile:
-        """Return the scene with the options' changes."""
         entries = {"veins": self.veins, "limbal_ring": self.limbal_ring}
         file = file.with_entries("eye", **{k: v for k, v in entries.items() if v is not None})
         file = file.with_entries("lids") if self.lids else file
