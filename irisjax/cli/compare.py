@@ -13,7 +13,7 @@ from irisjax.cli.report import figure_data, label_with_unit, print_table, step_c
 from irisjax.infer.model_comparison import COMPARED, Assessment, compare_models
 from irisjax.infer.parameters import kind
 from irisjax.infer.problem import Problem
-from irisjax.plot.beside import Later, here
+from irisjax.plot.beside import Later
 from irisjax.transport.process import option_of
 
 FILES = ("compare.csv", "compare.png")
@@ -33,7 +33,7 @@ def report_comparison(
     folder: Path | None,
     sampler: Sampler,
     bar: Any,
-    draw: Callable[..., Later] = here,
+    draw: Callable[..., Later],
 ) -> None:
     """Compare models of light for one measurement, print the result, and write it into `folder` if
     there is one; `bar` shows the progress.

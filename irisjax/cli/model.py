@@ -183,7 +183,7 @@ def build_model(options: IrisOptions, rules: ProcessOptions) -> tuple[ij.Iris, A
 
 
 def make_solver(
-    options: SolverOptions, process: AbstractProcess, iris: ij.Iris, *, exits: bool = False
+    options: SolverOptions, process: AbstractProcess, iris: ij.Iris, *, exits: bool
 ) -> AbstractSolver:
     """Make the solver that the options name, for this process and iris; `exits` for a BRDF."""
     if options.solver == "exact":

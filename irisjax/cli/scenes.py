@@ -62,7 +62,7 @@ class Subject(opt.Group, panel="What"):
 class EyeWithPupil(Subject):
     pupil_radius: float | None = opt.number("{}", eye.EYE_LIMITS["pupil_radius"])
 
-    def scene_of(self, file: SceneFile, integrator: str | None = None) -> staging.Scene:
+    def scene_of(self, file: SceneFile, integrator: str | None) -> staging.Scene:
         """Return the scene of a file, with the option's pupil."""
         scene = file.scene(integrator)
         return scene if self.pupil_radius is None else file.with_pupil(scene, self.pupil_radius)

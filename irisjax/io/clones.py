@@ -48,8 +48,8 @@ def files_of(
     clone: Outlined,
     settings: Mapping[str, object],
     timings: Mapping[str, float],
-    pictures: PictureDifference | None = None,
-    doubts: Sequence[Doubt] = (),
+    pictures: PictureDifference | None,
+    doubts: Sequence[Doubt],
 ) -> dict[str, bytes]:
     """Return the files, by name, of a clone up to the last stage that it has reached, with options
     of the command, seconds by the names of stages, and what is doubtful.
@@ -103,7 +103,7 @@ def summary_of(
     clone: Outlined,
     settings: Mapping[str, object],
     timings: Mapping[str, float],
-    doubts: Sequence[Doubt] = (),
+    doubts: Sequence[Doubt],
 ) -> dict[str, object]:
     """Return the contents of `clone.json`, but for the comparison of the pictures."""
     outlines = clone.boundaries

@@ -30,7 +30,7 @@ def colour_files(
     outlined: Outlined,
     measured: tuple[EyeColour, Part] | None,
     settings: Mapping[str, object],
-    doubts: Sequence[Doubt] = (),
+    doubts: Sequence[Doubt],
 ) -> dict[str, bytes]:
     """Return the files, by name, of an eye's colours and the part of the photograph in which they
     were measured (`None` if its outlines are doubtful), with options of the command.
