@@ -64,8 +64,8 @@ def files_of(
         sides = f"; x, y from -{HALF_WIDTH:g} to {HALF_WIDTH:g} mm, row 0 at the top"
         files[UNREFRACTED_PICTURE] = _png(encoded, sides)
         files[VISIBLE_MASK] = _png(clone.texture.valid)
+    texels = clone.texels if isinstance(clone, Coloured) else None
     if isinstance(clone, Shaped):
-        texels = clone.texels if isinstance(clone, Coloured) else None
         files["freckles.png"] = _png(clone.freckles)
         if texels is None:
             contrast = clone.morphology.deconvolved
@@ -73,8 +73,8 @@ def files_of(
             files["deconvolved.png"] = _png(0.5 + 0.5 * contrast / span)
         maps = clone.maps() if isinstance(clone, Fitted) else clone.morphology.maps
         files["maps.exr"] = encode_maps("maps.exr", maps)
-    if isinstance(clone, Coloured) and clone.texels is not None:
-        layers = np.moveaxis(clone.texels.deviations, 0, -1), clone.texels.hidden[..., None]
+    if texels is not None:
+        layers = np.moveaxis(texels.deviations, 0, -1), texels.hidden[..., None]
         labels = {"comments": "standard deviations of logarithms of maps.exr; 1 in what is hidden"}
         image, names = np.concatenate(layers, -1), (*NAMES, "hidden")
         files["deviations.exr"] = encode_exr("deviations.exr", image, names, labels)
@@ -106,7 +106,7 @@ def summary_of(
     doubts: Sequence[Doubt],
 ) -> dict[str, object]:
     """Return the contents of `clone.json`, but for the comparison of the pictures."""
-    outlines = clone.boundaries
+    outlines, texels = clone.boundaries, clone.texels if isinstance(clone, Coloured) else None
     fields: dict[str, object] = {
         "photograph": clone.photograph.name,
         "notes": clone.photograph.notes,
@@ -132,8 +132,8 @@ def summary_of(
         ring = (radius > texture.pupil_radius) & (radius < texture.iris_radius)
         fields["visible_share"] = texture.valid.sum() / ring.sum()
         fields["freckles_share"] = clone.freckles.sum() / ring.sum()
-        if isinstance(clone, Coloured) and clone.texels is not None:
-            shown, depth = ~clone.texels.hidden, np.asarray(clone.texels.maps.stroma_depth)
+        if texels is not None:
+            shown, depth = ~texels.hidden, np.asarray(texels.maps.stroma_depth)
             out = (np.arange(depth.shape[1]) + 0.5) / depth.shape[1]
             area = texture.pupil_radius + (texture.iris_radius - texture.pupil_radius) * out
             thickness, weights = depth[shown], np.broadcast_to(area, depth.shape)[shown]
@@ -156,8 +156,7 @@ def summary_of(
             "steps": fit.steps,
             "converged": fit.converged,
         }
-    if isinstance(clone, Coloured) and clone.texels is not None:
-        texels = clone.texels
+    if texels is not None:
         pairs = combinations(range(len(NAMES)), 2)
         fields["texels"] = {
             "medians": texels.iris.layer_concentrations() | _by_volume(texels.iris),
