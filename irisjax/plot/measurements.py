@@ -110,24 +110,23 @@ def _hemisphere(result: "Brdf", title: str) -> "Figure":
     columns = min(3, len(shown))
     rows = -(-len(shown) // columns)
     figure = figure_of(1.2 + 3.6 * columns, 0.9 + 3.4 * rows)
-    incidence = np.arccos(np.clip(float(result.cos_incidence), 0, 1))
+    light = [np.degrees(np.arccos(np.clip(float(result.cos_incidence), 0, 1)))]
     axes, shade = [], None
     top = float(values[shown].max())
+    # One cell round each direction, no smoothing over what was not computed.
+    a, column = np.unique(np.round(azimuth, 6), return_inverse=True)
+    r, row = np.unique(np.round(np.degrees(polar), 6), return_inverse=True)
+    rings = np.concatenate([[0], (r[1:] + r[:-1]) / 2, [90]])
+    sectors = np.concatenate([[a[-1] - 2 * np.pi], a, [a[0] + 2 * np.pi]])
+    sectors = (sectors[1:] + sectors[:-1]) / 2
     for i, k in enumerate(shown):
         ax: Any = figure.add_subplot(rows, columns, i + 1, projection="polar")
-        # One cell round each direction, no smoothing over what was not computed.
-        a, column = np.unique(np.round(azimuth, 6), return_inverse=True)
-        r, row = np.unique(np.round(np.degrees(polar), 6), return_inverse=True)
         field = np.full((r.size, a.size), np.nan)
         field[row, column] = values[k]
-        rings = np.concatenate([[0], (r[1:] + r[:-1]) / 2, [90]])
-        sectors = np.concatenate([[a[-1] - 2 * np.pi], a, [a[0] + 2 * np.pi]])
-        sectors = (sectors[1:] + sectors[:-1]) / 2
         shade = ax.pcolormesh(
             sectors, rings, field, cmap="cividis", vmin=0, vmax=top, rasterized=True
         )
         ax.grid(alpha=0.3)
-        light = [np.degrees(incidence)]
         ax.plot([np.pi], light, "v", color=PALETTE[1], markeredgecolor="white", label="light")
         ax.plot([0], light, "o", mfc="none", color="white", label="mirror direction")
         ax.set_rlim(0, 90)
