@@ -252,7 +252,7 @@ def _envi(path: Path, unit: str | None) -> Cube:
     if size != length:
         layout = f"{rows} lines of {columns} samples in {bands} bands of {stored.name}"
         raise ValueError(f"describes {length} bytes ({layout}), but {image.filename} has {size}")
-    _check_count(grid, (rows, columns, bands), "interleave, lines, samples and bands")
+    _check_count(grid, (rows, columns, bands))
     image.scale_factor = 1.0
     use = np.flatnonzero(good) if good.shape == (bands,) else np.arange(bands)
 
@@ -335,15 +335,14 @@ def _sorted(cube: Cube) -> Cube:
     return replace(cube, **by, read=lambda *rows: cube.read(*rows)[..., order])
 
 
-def _check_count(grid: np.ndarray | None, shape: tuple[int, int, int], where: str) -> None:
+def _check_count(grid: np.ndarray | None, shape: tuple[int, int, int]) -> None:
     if grid is None or grid.size == shape[2]:
         return
     message = f"has {grid.size} wavelengths for {shape[2]} bands"
-    swapped = [
-        n for n, count in zip(("lines", "samples"), shape, strict=False) if count == grid.size
-    ]
-    hint = f"; there are as many {swapped[0]}: is the cube transposed? Check {where}"
-    raise ValueError(message + (hint if swapped else ""))
+    if axis := {shape[1]: "samples", shape[0]: "lines"}.get(grid.size):
+        message += f"; there are as many {axis}: is the cube transposed? "
+        message += "Check interleave, lines, samples and bands"
+    raise ValueError(message)
 
 
 def _to_nm(grid: np.ndarray, unit: object) -> float:

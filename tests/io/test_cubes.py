@@ -118,6 +118,7 @@ def test_references_of_another_size_are_refused(tmp_path):
         ({"lines": 7}, "a.hdr: describes 980 bytes .* but .*a.img has 840"),
         ({"bands": "seven"}, "a.hdr: no ENVI header that can be read"),
         ({"wavelength": listed(GRID[:5])}, "5 wavelengths for 7 bands; there are as many samples"),
+        ({"wavelength": listed(GRID[:4])}, "4 wavelengths for 7 bands$"),
     ],
 )
 def test_broken_headers(tmp_path, header, said):
