@@ -18,7 +18,7 @@ from irisjax.cli import report
 from irisjax.cli.engine import LostPiece, Workers, run_pieces
 from irisjax.cli.fit_options import AMORTISED, FitResults, Measurements, Model, Sampler, process_of
 from irisjax.cli.flows import flow_for
-from irisjax.cli.many import DOUBTFUL, FAILED, OK, EyeRow, EyeTable, csv_of
+from irisjax.cli.many import DOUBTFUL, FAILED, OK, EyeRow, EyeTable
 from irisjax.cli.sentences import data_warnings, preference
 from irisjax.infer.amortised import EFFICIENT, read_flow, weighted_draws
 from irisjax.infer.draws import of_draws
@@ -38,7 +38,7 @@ from irisjax.io.fits import (
     read_covariances,
 )
 from irisjax.io.measured import Measured
-from irisjax.io.tables import naming, replacing
+from irisjax.io.tables import csv_of, naming, replacing
 from irisjax.numerics.chunks import cores
 from irisjax.transport.process import option_of
 

@@ -8,11 +8,11 @@ import irisjax as ij
 from irisjax import io
 from irisjax.cli import sentences
 from irisjax.cli.fit_options import Sampler
-from irisjax.cli.many import csv_of
 from irisjax.cli.report import figure_data, label_with_unit, print_table, step_counter
 from irisjax.infer.model_comparison import COMPARED, Assessment, compare_models
 from irisjax.infer.parameters import kind
 from irisjax.infer.problem import Problem
+from irisjax.io.tables import csv_of
 from irisjax.plot.beside import Later
 from irisjax.transport.process import option_of
 

@@ -12,7 +12,6 @@ import irisjax as ij
 from irisjax import io
 from irisjax.cli import batch
 from irisjax.cli import options as opt
-from irisjax.cli.many import csv_of
 from irisjax.cli.report import print_table
 from irisjax.cli.sentences import interval
 from irisjax.infer.model_comparison import Interval
@@ -21,6 +20,7 @@ from irisjax.infer.populations import KERNELS, PRIOR, population
 from irisjax.infer.priors import AbstractPrior
 from irisjax.infer.repeatability import agreement, intraclass_correlation
 from irisjax.io.fits import FittedEyes, read_fits
+from irisjax.io.tables import csv_of
 
 _PRODUCT = ("melanin_load", "abl_fraction")  # abl_melanin
 _FEWEST = 5  # effective draws of an eye below which its draws do not cover the group's distribution

@@ -1,10 +1,9 @@
 """A table with a row for each of many eyes, which is written while a command works through them."""
 
 import csv
-import io as text_io
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,6 +11,7 @@ from typing import Any
 
 from irisjax import io
 from irisjax.cli.options import notice
+from irisjax.io.tables import csv_of
 
 EyeRow = dict[str, str]
 Beside = Callable[[], Mapping[Path, bytes]]
@@ -114,10 +114,3 @@ class EyeTable:
                 counted = f"{len(names)} of {len(self.eyes)} {self.unit}s"
                 notice(f"{counted} {verb}: {examples}; the column {self.first[-1]} says why")
         return 3 if any(row["status"] == FAILED for row in self.rows.values()) else 0
-
-
-def csv_of(rows: Iterable[Iterable[object]]) -> str:
-    """Return rows of cells as CSV."""
-    out = text_io.StringIO()
-    csv.writer(out, lineterminator="\n").writerows(rows)
-    return out.getvalue()

@@ -12,7 +12,6 @@ import irisjax as ij
 from irisjax import io
 from irisjax.cli import sentences
 from irisjax.cli.fit_options import Sampler
-from irisjax.cli.many import csv_of
 from irisjax.cli.options import notice
 from irisjax.infer.analysis import Analysis, analyse, predictive
 from irisjax.infer.draws import ArvizGroups, arviz_groups
@@ -22,6 +21,7 @@ from irisjax.infer.observation import Observation
 from irisjax.infer.parameters import kind, unit_of
 from irisjax.infer.posterior import Chains
 from irisjax.infer.problem import Problem, reported
+from irisjax.io.tables import csv_of
 from irisjax.plot.beside import Later, here
 from irisjax.transport.process import option_of
 

@@ -11,6 +11,7 @@ from irisjax.io.images import encode_exr, encode_png
 from irisjax.io.maps import encode_maps
 from irisjax.io.scenes import scene_text
 from irisjax.io.sections import json_of
+from irisjax.io.tables import csv_of
 from irisjax.measure.colour import srgb_encode
 from irisjax.photo.clone import (
     Coloured,
@@ -89,8 +90,8 @@ def files_of(
         text = scene_text(scene, entries, f"{_REMARK}: {clone.photograph.name}")
         files["scene.toml"] = text.encode()
         if log := clone.fit.log:
-            rows = [",".join(log[0]), *(",".join(f"{v:.6g}" for v in r.values()) for r in log)]
-            files["convergence.csv"] = ("\n".join(rows) + "\n").encode()
+            rows = ([f"{value:.6g}" for value in row.values()] for row in log)
+            files["convergence.csv"] = csv_of([log[0], *rows]).encode()
     return files
 
 

@@ -6,11 +6,12 @@ import contextlib
 import csv
 import errno
 import io
+import itertools
 import os
 import shutil
 import tempfile
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -21,16 +22,19 @@ from irisjax.io.text import HEADER, read_text
 
 def format_table(header: Mapping[str, str], columns: Mapping[str, np.ndarray]) -> str:
     """Text of a CSV file: the header as comments, then columns with the solvers' 12 digits."""
-    out = io.StringIO()
     for key, value in header.items():
         if "\n" in f"{key}{value}" or ":" in key:
             rule = "keys take no colon, and neither keys nor values a new line"
             raise ValueError(f"header entry {key!r}: {rule}")
-        out.write(f"# {key}: {value}\n")
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(columns)
-    for row in zip(*columns.values(), strict=True):
-        writer.writerow(f"{float(value):.12g}" for value in row)
+    comments = "".join(f"# {key}: {value}\n" for key, value in header.items())
+    rows = ([f"{float(x):.12g}" for x in row] for row in zip(*columns.values(), strict=True))
+    return comments + csv_of(itertools.chain([columns], rows))
+
+
+def csv_of(rows: Iterable[Iterable[object]]) -> str:
+    """Return rows of cells as CSV."""
+    out = io.StringIO()
+    csv.writer(out, lineterminator="\n").writerows(rows)
     return out.getvalue()
 
 
