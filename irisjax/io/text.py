@@ -160,8 +160,7 @@ def _rows_of_numbers(lines: _Lines) -> _Rows:
 def _note_of(below: _Lines) -> tuple[str, ...]:
     if not below:
         return ()
-    number = len(below)
-    amount = "one line" if number == 1 else f"{number} lines"
+    amount = "one line" if len(below) == 1 else f"{len(below)} lines"
     return (f"{amount} below the table left out, from line {below[0][0]}",)
 
 
@@ -254,8 +253,8 @@ def _rows_of_spectra(lines: _Lines) -> _Rows | None:
         rows, below = rows[:end], [] if end is None else lines[i + 1 + end :]
         if not rows:
             continue
-        for number, cells in [(n, cells_of(line, separator)) for n, line in below]:
-            if len(cells) >= len(titles):
+        for number, line in below:
+            if len(cells_of(line, separator)) >= len(titles):
                 raise ValueError(f"line {number}: not a number for each wavelength")
         return (*_spectra_of(titles, groups, rows), _note_of(below))
     return None
