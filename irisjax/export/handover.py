@@ -181,7 +181,7 @@ def _approximations(eye: Eye) -> dict[str, str | None]:
 
 def _in_uv(texture) -> np.ndarray:
     """A texture (angles, radii, channels) as a picture (rows, columns, channels) in uv."""
-    return np.flip(np.swapaxes(np.asarray(texture), 0, 1), 0)
+    return np.rot90(np.asarray(texture))
 
 
 def _joined(bands: Bands, hazy: Bands) -> Bands:
