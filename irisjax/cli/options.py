@@ -28,8 +28,8 @@ def option(help: str, default: object = None, *, names: str = "", **metadata: An
         help: Its line in the help.
         default: Its value if it is not typed; `...` if it must be typed.
         names: Its names on the command line, if not the field's.
-        **shown: `metavar`; `parse`, a function of the text that raises `ValueError` where it cannot
-            take it (the option, or the file and the key, is put in front of the message);
+        **metadata: `metavar`; `parse`, a function of the text that raises `ValueError` where it
+            cannot take it (the option, or the file and the key, is put in front of the message);
             `overrules`, names of what a file cannot set where this is typed; other arguments of
             `typer.Option`.
     """
