@@ -76,10 +76,8 @@ def report_eye(
     progress = step_counter(bar, leave=True)
     analysis = analyse(problem, store=store, progress=progress, key=sampler.key, **options)
     process_lines = sentences.process_lines(analysis.other)
-    lines = [
-        *sentences.information_lines(analysis.information),
-        *sentences.result_warnings(analysis),
-    ]
+    lines = sentences.information_lines(analysis.information)
+    lines += sentences.result_warnings(analysis)
     if folder is not None:
         bar.set_description_str("files")
         score, error = _write(analysis, folder, [*process_lines, *lines], sampler.key, draw)
