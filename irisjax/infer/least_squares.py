@@ -121,7 +121,7 @@ def least_squares_of_rows(
     solver: optx.AbstractGaussNewton[Array, Array, Any],
     lanes: int,
     max_steps: int = 200,
-    count: Any = None,
+    count: Any,
 ) -> Minimum:
     """Search from one start for each of many rows, as `least_squares` does for one problem. The
     searches run in lanes that do not wait for each other: a lane whose search has ended takes the
@@ -134,7 +134,7 @@ def least_squares_of_rows(
         solver: Rule of the steps.
         lanes: Number of searches that run at a time, at least 1.
         max_steps: Largest number of steps of a search, at least 1.
-        count: Number of rows that are searched, the first ones; default all.
+        count: Number of rows that are searched, the first ones.
 
     Returns:
         The minima, rows first, zeros where no search was; map over them before you ask for a
@@ -143,7 +143,6 @@ def least_squares_of_rows(
     rows = nondifferentiable(rows, name="the data of least squares")
     function, weight = _with_jacobian(residuals), jnp.ones((), starts.dtype)
     size, tags = len(starts), frozenset[object]()
-    count = size if count is None else count
 
     def pick(places):
         places = jnp.minimum(places, size - 1)
