@@ -173,7 +173,7 @@ def agx_encode(linear: Float[Array | np.ndarray, "*s 3"]) -> Float[Array, "*s 3"
     offset = jnp.clip(stops / (below + above), 0, 1) - pivot
 
     def bent(offset, limit, power):
-        """A slope of 2 at 0, and 0.5 at `most`."""
+        """A slope of 2 at 0, and 0.5 at `limit`."""
         scale = ((4 * limit) ** power - 1) / limit**power
         return 2 * offset / (1 + scale * offset**power) ** (1 / power)
 

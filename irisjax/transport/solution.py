@@ -129,7 +129,7 @@ class Flux(NamedTuple):
     behind: Array | None = None
 
     def solution(self, status: RESULTS, **fields: Any) -> Solution:
-        """The `Solution` of these shares, of a `status` and `more` fields."""
+        """The `Solution` of these shares, of a `status` and other `fields`."""
         ipe = self.ipe if self.behind is None else self.ipe - self.behind
         absorbed = Absorbed(self.abl, self.stroma, ipe)
         shares = self.reflectance, self.mirrored, absorbed

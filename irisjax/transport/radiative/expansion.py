@@ -106,8 +106,8 @@ def _means(phase: PhaseMixture, moments, peak, lines: Lines):
 
 
 def _correction(kernel, basis, weight, residuals):
-    """Find the values at nodes with half-range moments `missed` (senses, moments, columns) whose
-    mean square, divided by the weight `near` (senses, nodes, columns), is least.
+    """Find the values at nodes with half-range moments `residuals` (senses, moments, columns) whose
+    mean square, divided by the weight `kernel` (senses, nodes, columns), is least.
 
     It uses orthogonal polynomials: beside a sharp peak the normal equations lose float32's digits.
     """
