@@ -34,13 +34,8 @@ def diffuse_reflectance(
 def slab_reflectance(
     absorption: Spectrum, scattering: Spectrum, thickness: Scalar | float, background: Spectrum
 ) -> Spectrum:
-    """Diffuse reflectance of a slab by two fluxes, see `layer_before`.
-
-    Args:
-        absorption: Absorption coefficient.
-        scattering: Reduced scattering coefficient.
-        thickness: Thickness, mm.
-        background: Diffuse reflectance of what lies behind.
+    """Diffuse reflectance of a slab, `thickness` in mm, before a `background` of this diffuse
+    reflectance, by two fluxes, see `layer_before`.
     """
     return layer_before(2 * absorption, 0.75 * scattering, thickness, background)
 
