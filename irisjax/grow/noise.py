@@ -33,16 +33,12 @@ def noise(
         x, y = turns * n, jnp.clip(radius, 0.0, 1.0) * m
         i, j = jnp.floor(x), jnp.floor(y)
         u, v = smoothstep(x - i), smoothstep(y - j)
-        left, right = i % n, (i + 1) % n
-        below = (
-            hash_uniform(octave_seed, left, j) * (1 - v)
-            + hash_uniform(octave_seed, left, j + 1) * v
-        )
-        above = (
-            hash_uniform(octave_seed, right, j) * (1 - v)
-            + hash_uniform(octave_seed, right, j + 1) * v
-        )
-        return total + (below * (1 - u) + above * u) / scale
+
+        def along_radius(i):
+            below, above = (hash_uniform(octave_seed, i, row) for row in (j, j + 1))
+            return below * (1 - v) + above * v
+
+        return total + (along_radius(i % n) * (1 - u) + along_radius((i + 1) % n) * u) / scale
 
     total = jnp.zeros(jnp.broadcast_shapes(turns.shape, radius.shape), radius.dtype)
     # Rolled, so that one program serves every number of octaves.
