@@ -86,21 +86,17 @@ def _roots(lids: Lids, upper, place, centre):
 def _fence(lashes: np.ndarray, centre: float) -> np.ndarray:
     """Draw the lashes on the sphere of `FENCE` as seen from the middle of the cornea."""
     side, start = 512, np.array([0.0, 0.0, 0.5])
-    direction = lashes[..., :3] - start
-    direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+    away = lashes[..., :3] - start
+    length = np.linalg.norm(away, axis=-1)
+    direction = away / length[..., None]
     offset = start - np.array([0.0, 0.0, centre])
     along = direction @ offset
     distance = np.sqrt(along**2 - offset @ offset + FENCE**2) - along
     projected = start + distance[..., None] * direction
-    magnification = distance / np.linalg.norm(lashes[..., :3] - start, axis=-1)
-    cell = 2 * FACE / side
-    pixels = np.concatenate(
-        [
-            (projected[..., :2] + FACE) / cell - 0.5,
-            (magnification * lashes[..., 3] / cell)[..., None],
-        ],
-        -1,
-    )
+    magnification, cell = distance / length, 2 * FACE / side
+    place = (projected[..., :2] + FACE) / cell - 0.5
+    radius = magnification * lashes[..., 3] / cell
+    pixels = np.concatenate([place, radius[..., None]], -1)
     return np.asarray(stamp_strokes(jnp.asarray(pixels), (side, side), *stroke_sections(40, 4)))
 
 
