@@ -391,7 +391,7 @@ def _fibre_bundles(
     """
 
     def layer(carry, kind):
-        turns, opening, bundle, _ = carry
+        turns, opening, bundle = carry
         layer_seed, across, along, wide = kind
         border, offset, chance, middle = _cells(layer_seed, turns, radius, across, along)
         # Wide cells are open in a wreath, slits round it, and a few of both out to the root.
@@ -403,12 +403,12 @@ def _fibre_bundles(
         opening = jnp.maximum(opening, openness * smoothstep((border - 0.1 + 0.4 * ragged) / 0.7))
         height = jnp.exp(-((border / (0.2 + 0.1 * ragged)) ** 2))
         turns -= (0.35 * looseness + 0.4 * openness) * offset
-        return (turns, opening, jnp.maximum(bundle, height), middle), middle
+        return (turns, opening, jnp.maximum(bundle, height)), middle
 
     layers = [(min(n, angles // 4), *others) for n, *others in BUNDLE_CELLS]
     kinds = jnp.asarray(split_seed(seed, 2)), *jnp.asarray(layers, radius.dtype).T
-    start = turns, 0 * radius, 0 * radius, 0 * radius
-    (turns, opening, bundle, _), middles = jax.lax.scan(layer, start, kinds)
+    start = turns, 0 * radius, 0 * radius
+    (turns, opening, bundle), middles = jax.lax.scan(layer, start, kinds)
     return turns, opening, bundle, radius + 0.5 * (middles[0] - radius)
 
 
