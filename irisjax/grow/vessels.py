@@ -140,7 +140,7 @@ def _walk(rng, globe: _Globe, azimuth, arc, heading, radius, reach, wander: floa
     side = np.where(heading < 0, -1.0, 1.0)
     # The heading varies as the sum of two stationary processes correlated over 0.9 and 0.2 mm.
     spread, memory = wander * np.array([[1], [0.6]]), np.exp(-_STEP / np.array([[0.9], [0.2]]))
-    deviations = spread * rng.normal(size=(2, count))
+    fresh, deviations = spread * np.sqrt(1 - memory**2), spread * rng.normal(size=(2, count))
     for k in range(steps + 1):
         visible = (k * _STEP <= reach) & (arc > 0.05)
         # Near the limbus vessels turn along it and join arcades.
@@ -151,9 +151,7 @@ def _walk(rng, globe: _Globe, azimuth, arc, heading, radius, reach, wander: floa
         azimuth = azimuth + _STEP * np.sin(direction) / globe.axis_distance(arc)
         arc = arc - _STEP * np.cos(direction)
         heading = heading * (1 - _STEP / 6.0)
-        deviations = memory * deviations + spread * np.sqrt(1 - memory**2) * rng.normal(
-            size=(2, count)
-        )
+        deviations = memory * deviations + fresh * rng.normal(size=(2, count))
     return _Curves(*out.swapaxes(1, 2))
 
 
@@ -202,22 +200,20 @@ def _stamp(layers, globe: _Globe, curves: _Curves, margin: float) -> None:
         block = order[first : first + _CHUNK]
         (a0, s0, _, r0), (a1, s1, _, r1) = ([f[block] for f in end] for end in (starts, ends))
         r = 0.5 * (r0 + r1)[:, None, None]
-        axis_distance = globe.axis_distance(0.5 * (s0 + s1))
+        axis_distance = globe.axis_distance(0.5 * (s0 + s1))[:, None, None]
         cell = (2 * np.pi / rows) * axis_distance  # mm
         radius_of_influence = 0.5 * _STEP + float(r.max()) + margin
         reach = (int(np.ceil(radius_of_influence / size)) + 1 for size in (cell.min(), along))
         di, dj = (np.arange(-n, n + 1) for n in reach)
         row = np.floor(0.5 * (a0 + a1) * rows / (2 * np.pi)).astype(int)[:, None] + di
         column = np.floor(0.5 * (s0 + s1) / along).astype(int)[:, None] + dj
-        x = ((row + 0.5) * (2 * np.pi / rows) - a0[:, None])[:, :, None] * axis_distance[
-            :, None, None
-        ]
+        x = ((row + 0.5) * (2 * np.pi / rows) - a0[:, None])[:, :, None] * axis_distance
         y = ((column + 0.5) * along - s0[:, None])[:, None, :]
-        u, v = ((a1 - a0) * axis_distance)[:, None, None], (s1 - s0)[:, None, None]
+        u, v = (a1 - a0)[:, None, None] * axis_distance, (s1 - s0)[:, None, None]
         length = np.sqrt(u * u + v * v) + 1e-12
         t = np.clip((x * u + y * v) / length**2, 0, 1)
         distance = np.sqrt((x - t * u) ** 2 + (y - t * v) ** 2)
-        width = (cell[:, None, None] * np.abs(v) + along * np.abs(u)) / length
+        width = (cell * np.abs(v) + along * np.abs(u)) / length
         flat = (row % rows)[:, :, None] * columns + np.clip(column, 0, columns - 1)[:, None, :]
         near = ((column >= 0) & (column < columns))[:, None, :] & (distance < r + width + margin)
         flat, distance, width, r = (
