@@ -107,13 +107,9 @@ def of_iris(iris: Iris) -> dict[str, Any]:
 
 def iris_of(values: Mapping[str, Any], base: Iris) -> Iris:
     """Return the iris with these parameters, and all else (indices, carotenoids) from `base`."""
-    melanins = derived(values)
-    names = _OF_IRIS if base.power_law is None else (*_OF_IRIS, *OF_POWER_LAW)
-    return base.replace(
-        eumelanin=melanins["eumelanin"],
-        pheomelanin=melanins["pheomelanin"],
-        **{name: values[name] for name in names},
-    )
+    numbers = {**values, **derived(values)}
+    law = () if base.power_law is None else OF_POWER_LAW
+    return base.replace(**{n: numbers[n] for n in ("eumelanin", "pheomelanin", *_OF_IRIS, *law)})
 
 
 def derived(values: Mapping[str, Any]) -> dict[str, Any]:
