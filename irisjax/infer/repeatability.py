@@ -68,12 +68,6 @@ def agreement(first: Float[np.ndarray, " n"], second: Float[np.ndarray, " n"]) -
     n, sd = difference.size, float(difference.std(ddof=1))
     bias = float(difference.mean())
     t = float(stats.t.ppf(_TAIL, n - 1))
-    intervals = [
-        Interval(x, x - t * error, x + t * error)
-        for x, error in (
-            (bias, sd / np.sqrt(n)),
-            (bias - 1.96 * sd, sd * np.sqrt(3 / n)),
-            (bias + 1.96 * sd, sd * np.sqrt(3 / n)),
-        )
-    ]
-    return Agreement(*intervals)
+    of_bias, of_limits = sd / np.sqrt(n), sd * np.sqrt(3 / n)  # standard errors
+    estimates = (bias, of_bias), (bias - 1.96 * sd, of_limits), (bias + 1.96 * sd, of_limits)
+    return Agreement(*(Interval(x, x - t * error, x + t * error) for x, error in estimates))
