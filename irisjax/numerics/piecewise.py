@@ -54,7 +54,9 @@ def _piecewise_jvp(primals, tangents):
         raise NotImplementedError(
             "coefficients of tables are constants; derivatives by them do not exist"
         )
-    rows, x = _rows(table, interval), x[None]
+    # The table's numbers at each place, (powers, [degrees,] functions, *places).
+    rows = jnp.moveaxis(table.reshape(table.shape[0], -1)[interval], -1, 0)
+    rows, x = rows.reshape(*table.shape[1:], *interval.shape), x[None]
     inner, change = list(rows), jnp.zeros((table.shape[-1], *interval.shape), x.dtype)
     if s is not None:
         basis, basis_slopes = (jnp.stack(c)[:, None] for c in chebyshev(s, table.shape[2]))
@@ -82,10 +84,3 @@ def _reader(table, interval):
         )
 
     return read
-
-
-def _rows(table, interval):
-    """The table's numbers at each place, shape (powers, [degrees,] functions, *places)."""
-    return jnp.moveaxis(table.reshape(table.shape[0], -1)[interval], -1, 0).reshape(
-        *table.shape[1:], *interval.shape
-    )
