@@ -43,10 +43,9 @@ class Spectrophotometer(AbstractInstrument):
             return None
         # Gauss's rule in sin², which a matt surface fills evenly, and the azimuth's for cos and
         # cos 2φ: the mean of four directions.
-        sine = (self.aperture / self.media.aqueous) ** 2 * (
-            0.5 + np.array([-1, -1, 1, 1]) / 12**0.5
-        )
-        return Directions(jnp.sqrt(1 - sine), np.pi / 4 * np.array([1.0, 3, 1, 3]))
+        nodes = 0.5 + np.array([-1, -1, 1, 1]) / 12**0.5
+        square = (self.aperture / self.media.aqueous) ** 2 * nodes
+        return Directions(jnp.sqrt(1 - square), np.pi / 4 * np.array([1.0, 3, 1, 3]))
 
     def counted(self, solution: Solution) -> tuple[Spectrum, Spectrum | None]:
         if solution.brdf is None:
