@@ -136,8 +136,7 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
             # The logarithm of a derived parameter has a nearly normal prior.
             variance = np.log(values).var() / np.log(prior[name]).var()
         q2_5, q16, median, q84, q97_5 = np.percentile(values, (2.5, 16, 50, 84, 97.5))
-        spread = median, values.std(), q2_5, q16, q84, q97_5
-        numbers = *spread, rhat, bulk, tail, float(1 - variance)
+        numbers = median, values.std(), q2_5, q16, q84, q97_5, rhat, bulk, tail, float(1 - variance)
         rows.append(Row(name, unit_of(name), *numbers))
     return rows
 
