@@ -51,10 +51,9 @@ class Light(eqx.Module):
 
     def __check_init__(self) -> None:
         if self.cosine is None and (self.exits is not None or self.matrices):
-            message = (
+            raise ValueError(
                 "a BRDF or Mueller matrix is of light from one direction, not of diffuse light"
             )
-            raise ValueError(message)
 
 
 def beams_of(
