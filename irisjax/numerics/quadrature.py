@@ -9,7 +9,7 @@ starts near 0.
 import math
 from functools import lru_cache
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,11 +22,6 @@ from irisjax._types import AnyReals
 _GRADING = 3.0
 # μ² at which a panel's start counts as far from 0, where no grading is wanted.
 _FAR = 0.05
-
-if TYPE_CHECKING:
-    AnyArray: TypeAlias = Array
-else:
-    AnyArray = Array | np.ndarray  # a rule of constants can be built on the host
 
 
 class CosineRule(eqx.Module):
@@ -45,13 +40,13 @@ class CosineRule(eqx.Module):
         panels: Number of panels; further ones have width 0 and no nodes.
     """
 
-    cosine: Float[AnyArray, " n"]
-    weight: Float[AnyArray, " n"]
-    excess: Float[AnyArray, "k n"]
-    omitted: Float[AnyArray, ""]
-    starts: Float[AnyArray, " panels"]
-    widths: Float[AnyArray, " panels"]
-    panels: Int[AnyArray, ""]
+    cosine: Float[Array, " n"]
+    weight: Float[Array, " n"]
+    excess: Float[Array, "k n"]
+    omitted: Float[Array, ""]
+    starts: Float[Array, " panels"]
+    widths: Float[Array, " panels"]
+    panels: Int[Array, ""]
 
 
 @lru_cache(maxsize=64)
