@@ -57,10 +57,12 @@ def first_line(error: object) -> str:
 
 @contextlib.contextmanager
 def naming(path: str | Path) -> Iterator[None]:
-    """Begin the text of a `ValueError` with the name of the file that it is about."""
+    """Begin the text of a `ValueError` with the name of the file that it is about. A file that ends
+    too early raises one too: the command would take an `EOFError` for the end of its input.
+    """
     try:
         yield
-    except ValueError as error:
+    except (ValueError, EOFError) as error:
         message = str(error)
         if not message.startswith(str(path)):
             message = f"{path}{', ' if message.startswith('line ') else ': '}{message}"

@@ -163,6 +163,9 @@ def test_bands_cornea_and_aperture_are_stated(seen, irisjax, tmp_path):
     one_line(irisjax("fit", path, *diffuse), "diffuse light and an aperture: by reciprocity")
     both = ("--bands", bands, "--bandwidth", "20")
     one_line(irisjax("fit", path, *both), "--bandwidth or --bands, not both")
+    empty = tmp_path / "empty.npy"
+    empty.touch()  # "interrupted", it said
+    one_line(irisjax("fit", path, "--covariance", empty), "empty.npy: No data left in file")
     of_files = f"{path}: column 'R (fraction)' (reflectance) is of a"
     one_line(irisjax("fit", path, "--bands", path), of_files)
     bands.write_text("centre,fwhm\n450,20\n550,20\n")
