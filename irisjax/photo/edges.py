@@ -118,6 +118,7 @@ def find_rings(
     of the picture in which they are 20 to 40 px.
 
     Args:
+        brightness: The picture.
         radii: Smallest and largest radius, px.
         number: Most rings of an octave; those with the most votes are returned.
         sideways: By how much less top and bottom of a ring count, 0 to 1, because lids hide them.

@@ -110,6 +110,7 @@ def find_boundaries(
     confidence.
 
     Args:
+        photo: The photograph.
         limbus: Outline of the limbus that is kept.
         pupil: The same for the pupil.
         eye: Which of several eyes: `"left"` or `"right"` as the picture shows them, or a number

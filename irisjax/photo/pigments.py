@@ -311,6 +311,7 @@ def simplex(
     ratios. The log has the values and the relative RMS at each stage.
 
     Args:
+        windows: The windows.
         base: Iris that fixes everything but melanins and scattering.
         known: Values of the other free parameters by name: F09 measured exposure and light before.
             Those that are not given keep the medians of their priors.

@@ -222,6 +222,7 @@ def choose_mixtures(
 
     Args:
         light: `light_moments` of these pixels, without mixtures.
+        angles: The functions.
 
     Returns:
         The weights by which functions are summed into mixtures, and those by which mixtures

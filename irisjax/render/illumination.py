@@ -57,6 +57,7 @@ class Illumination(eqx.Module):
         """Compute the tables of an eye with a cornea.
 
         Args:
+            eye: The eye.
             caustics: Whether the tables go on beyond `UNIQUE_POLAR`, where rays are counted.
             size: Number of grid points along each side; entry points are searched as coarsely.
             n_rays: Number of rays that are counted for each polar angle, over the whole cornea.

@@ -111,6 +111,9 @@ def draw(
         scene: The scene; its `wavelengths` decide the channels.
         tables: `scene.tables()`, which are computed where they are not given.
         caustics: Whether the computed tables hold caustics, see `Scene.tables`.
+
+    Returns:
+        The picture.
     """
     tables = scene.tables(caustics) if tables is None else tables
     view = project(scene.eye, scene.camera)
@@ -130,9 +133,13 @@ def draw_on_cores(
     A camera that moves changes none of the other arguments.
 
     Args:
+        scene: The scene.
         tables: `scene.tables()`, which are computed where they are not given, as are the others.
         response: `respond(scene)`.
         model: `lit_model(scene, tables)`.
+
+    Returns:
+        The picture.
     """
     tables = scene.tables() if tables is None else tables
     response = respond(scene) if response is None else response
@@ -308,6 +315,7 @@ def respond(scene: Scene, ranges: Scales | None = None) -> AbstractResponse:
     """Compute how the iris of a scene sends light back, in the channels of the picture.
 
     Args:
+        scene: The scene.
         ranges: Ranges of the texels, in place of those of its maps.
 
     Raises:
@@ -377,6 +385,7 @@ def draw_bands(
     the picture's size.
 
     Args:
+        scene: The scene.
         tables: `scene.tables()`, which are computed where they are not given.
         samples: Each pixel is the mean of samples × samples points.
         memory: Bytes that a band may need, in addition to those of a small picture.

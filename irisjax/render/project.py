@@ -174,6 +174,8 @@ def project_visible(eye: Eye, camera: Camera, *, once: bool = False) -> View:
     It is faster, but their number decides the shapes: it runs on the host, not under `jit`.
 
     Args:
+        eye: The eye.
+        camera: The camera.
         once: Whether the view serves for one picture or two. Numbers of pixels are then padded to
             powers of four, at most to the power of two that the picture has room in, and large ones
             by less; and its programs do not depend on the picture's size. Most pictures share them,
@@ -189,6 +191,8 @@ def project_shares(
     """Find what each pixel of a camera sees, and divide the pixels of each part evenly.
 
     Args:
+        eye: The eye.
+        camera: The camera.
         shares: Number of shares.
         once: As of `project_visible`.
 

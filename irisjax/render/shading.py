@@ -110,6 +110,8 @@ def entering_flux(
     """Sum the lights' flux on a grid over the iris, times the share 1 − F that enters the tissue.
 
     Args:
+        lights: The lights.
+        eye: The eye.
         iris: The iris, whose refractive index decides that share.
         tables: Illumination tables; `None` for an eye without a cornea.
         relief: Whether to add a channel for light on a relief.
@@ -256,6 +258,7 @@ def hiding_factor(cosine: Float[Array, "..."], eye: Eye) -> Float[Array, "..."]:
 
     Args:
         cosine: Cosine of the light's angle to the normal of the flat iris, behind the cornea.
+        eye: The eye.
     """
     n = 1.0 if eye.cornea is None else eye.aqueous_index
     s = jnp.minimum(n * n * (1 - cosine * cosine), 1.0)

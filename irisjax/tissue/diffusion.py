@@ -20,8 +20,8 @@ def diffuse_reflectance(
     [Flock et al. 1989, IEEE Trans. Biomed. Eng. 36, 1162].
 
     Args:
-        absorption: Absorption coefficient.
-        scattering: Reduced scattering coefficient.
+        absorption: Absorption coefficient, 1/mm.
+        scattering: Reduced scattering coefficient, 1/mm.
         inside: Share of diffuse light that the surface reflects back inside; by default that of an
             index of 1.4.
     """
@@ -34,8 +34,13 @@ def diffuse_reflectance(
 def slab_reflectance(
     absorption: Spectrum, scattering: Spectrum, thickness: Scalar | float, background: Spectrum
 ) -> Spectrum:
-    """Diffuse reflectance of a slab, `thickness` in mm, before a `background` of this diffuse
-    reflectance, by two fluxes, see `layer_before`.
+    """Diffuse reflectance of a slab by two fluxes, see `layer_before`.
+
+    Args:
+        absorption: Absorption coefficient, 1/mm.
+        scattering: Reduced scattering coefficient, 1/mm.
+        thickness: Thickness, mm.
+        background: Diffuse reflectance of what lies behind.
     """
     return layer_before(2 * absorption, 0.75 * scattering, thickness, background)
 

@@ -70,6 +70,7 @@ class Bench(Session[BenchSettings]):
         """Paint a recipe.
 
         Args:
+            recipe: The recipe.
             scene: Changes the scene in which the iris stands, by default `painting.studio`; its own
                 painting makes no difference.
             tables_of: Computes the illumination tables of a scene, or reads them.

@@ -60,6 +60,7 @@ class Studio(Session[Settings]):
         """Begin with the settings of a scene.
 
         Args:
+            scene: The scene.
             tables_of: Computes the illumination tables of a scene, or reads them.
             photograph: Photograph from the scene's camera, sRGB, 8 bits, sides in proportion to the
                 picture's; the left half of the first picture shows it.

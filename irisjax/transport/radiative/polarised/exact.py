@@ -49,8 +49,12 @@ def solve_polarised(
 ) -> tuple[Flux, Polarisation | None]:
     """Compute the fate of unpolarised light, and Mueller matrices if they are requested.
 
-    `n_angles`: quadrature nodes over the cosine; `grid`: polynomials and panels in depth; `modes`:
-    of the phase matrix, first that of the whole intensity.
+    Args:
+        layers: As in `AbstractSolver.solve`.
+        light: As in `AbstractSolver.solve`.
+        n_angles: Quadrature nodes over the cosine.
+        grid: Polynomials and panels in depth.
+        modes: Modes of the phase matrix, first that of the whole intensity.
     """
     rays = beams_and_exits(layers, light, 2 * n_angles, ordinates=partial(polarised, from_outside))
     needs_matrices = light.matrices or rays.exits is not None
