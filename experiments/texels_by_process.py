@@ -44,7 +44,7 @@ def main(key, quick=False, out=RESULTS):
 
 
 def summary(rows: np.ndarray) -> list[str]:
-    """What is stated of the colours that ILIT can make."""
+    """Return lines on the colours that ILIT can make: their number and the means of products."""
     made = rows[rows[:, -1] < MADE, : len(NAMES)]
     moments = (made.T @ made / max(len(made), 1)).round(3)
     lines = [f"{len(made)} of {len(rows)} colours can be made; their means of products:"]
@@ -55,7 +55,7 @@ def summary(rows: np.ndarray) -> list[str]:
 
 @eqx.filter_jit
 def read(draw):
-    """Logarithms of what is found over the truth, and the largest error of a channel."""
+    """Return the logarithms of what is found over the truth, and the largest error of a channel."""
     target = encoded(draw, jnp.zeros(3), RadiativeExact())
 
     def errors(logs, _):
@@ -71,7 +71,7 @@ def read(draw):
 
 
 def encoded(draw, logs, solver):
-    """Channels of an iris of the priors whose `NAMES` are multiplied."""
+    """Compute the encoded channels of an iris of the priors whose `NAMES` are multiplied."""
     values, (stroma, eumelanin, pheomelanin) = parameter_values(draw), jnp.exp(logs)
     for layer in ("abl", "stroma"):
         values[f"{layer}_eumelanin"] *= eumelanin

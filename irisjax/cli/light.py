@@ -143,10 +143,8 @@ class BandedLight(BandOptions, EyeLight):
 
     def settings(self) -> dict[str, Any]:
         """Return the options to write, without wavelengths if bands are given."""
-        options = super().settings()
-        if self.bands is not None:
-            del options["wavelengths"]
-        return options
+        omitted = () if self.bands is None else ("wavelengths",)
+        return {n: v for n, v in super().settings().items() if v is not None and n not in omitted}
 
 
 def with_band_centres(light: Any) -> Any:

@@ -24,11 +24,11 @@ from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_known
 from irisjax.photo import pigments, texels
 from irisjax.photo.light import (
-    SHADED,
     Lighting,
     find_lighting,
     find_shade,
     find_veil,
+    in_shade,
     irradiance_of_iris,
 )
 from irisjax.photo.masks import cut_part, find_mirrored_face, part_geometry
@@ -568,7 +568,7 @@ def fit_clone(lit: Lit, settings: CloneSettings, given: Given = NOTHING) -> Fitt
     alone = light.lamps is None and not light.room and lit.veil is not None
     pixels = lit.unveiled() if alone else lit.part
     around = None if alone or light.room else light.environment
-    # Where lids shade the iris, its light is not known.
+    # The light on the iris is not known where lids shade it.
     known_light = None if lit.lids or lit.view.iris is None else _light_on_iris(lit)
     chosen = choose_pixels(pixels, clear, lit.view, eye, around, known_light)
     maps = average_maps(eye) if given.maps is None else given.maps
@@ -650,8 +650,8 @@ def colour_texels(fitted: Fitted, settings: CloneSettings, given: Given = NOTHIN
     ring = scatter_to_picture(seen, ring_radius(eye, x, y), shape)
     clear = shown & (ring > float(eye.pupil_radius + eye.pupil_margin))
     usual = np.log(generic_thickness(radius) / float(fitted.base.stroma_thickness))
-    light = _light_on_iris(fitted, fitted.fit.values["room"] if fitted.lighting.room else 0.0)
-    shaded = clear & (light < SHADED * np.median(light[clear])) if clear.any() else ~clear
+    light = _light_on_iris(fitted, _room_beside_lamps(fitted, fitted.fit))
+    shaded = clear & in_shade(light, clear)
     # Windows tell the colours of rings. Of the maxima that explain these, the highest is taken
     # whose iris can make the colours of pixels too, or else the one that is nearest to them.
     trials = []
@@ -778,8 +778,15 @@ def _with_soft_edges(pose: Pose, outlines: Boundaries) -> Eye:
     return eye
 
 
+def _room_beside_lamps(lit: Lit, fit: pigments.PigmentFit) -> float:
+    """Return the fitted radiance of the room; 0 where the light has none beside its lamps."""
+    return fit.values["room"] if lit.lighting.room else 0.0
+
+
 def _light_on_iris(lit: Lit, room: float = 0.0) -> np.ndarray:
-    """Irradiance of the iris at each pixel of the part, by lamps and a room of some radiance."""
+    """Return the irradiance of the iris at each pixel of the part, by lamps and a room of some
+    radiance.
+    """
     seen = lit.view.iris
     assert seen is not None
     x, y = map(np.asarray, seen.point[:2])
@@ -847,7 +854,7 @@ def _thickness_by_model(
         usual = pigments.iris_of_concentrations(medians, base)
     shade = darkness = None
     if lit.second is None:  # the light of a second photograph is not known
-        room = fit.values["room"] if lit.lighting.room else 0.0
+        room = _room_beside_lamps(lit, fit)
         shade = find_shade(texture, lit.lighting.lights(), room, eye, lit.tables)
     if freckles.any():
         shares = np.linspace(0, 1, 21) ** 2

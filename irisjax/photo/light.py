@@ -249,5 +249,10 @@ def find_shade(
     radius, angle = texture.radius(), texture.angle()
     x, y = radius * np.cos(angle), radius * np.sin(angle)
     irradiance = irradiance_of_iris(x, y, lights, room, eye, tables)
-    median = np.median(irradiance[texture.valid]) if texture.valid.any() else 0.0
+    return in_shade(irradiance, texture.valid)
+
+
+def in_shade(irradiance: np.ndarray, usual: Mask) -> Mask:
+    """Return the places that get less than `SHADED` of the median light of the usual ones."""
+    median = np.median(irradiance[usual]) if usual.any() else 0.0
     return irradiance < SHADED * median

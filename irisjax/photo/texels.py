@@ -645,7 +645,7 @@ def _inverse(a):
 
 
 def _some_of(known: Mask) -> Mask:
-    """At most `_TRIED` of the pixels, evenly."""
+    """Return at most `_TRIED` of the pixels, evenly."""
     step = max(math.ceil(known.sum() / _TRIED), 1)
     return known & (np.cumsum(known).reshape(known.shape) % step == 0)
 
