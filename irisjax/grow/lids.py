@@ -48,25 +48,25 @@ def _lashes(rng, lids: Lids, centre) -> np.ndarray:
     s = s + rng.normal(0, 0.008, count)
     t = np.linspace(0, 1, _POINTS)
     # Neighbouring lashes lean together in tufts, whose tips meet.
-    tufts = np.repeat(np.arange(count), rng.integers(1, 5, count))[:count]
+    tufts = np.repeat(np.arange(count), rng.integers(2, 6, count))[:count]
     _, tufts = np.unique(tufts * len(rows) + row, return_inverse=True)  # none in two rows
     middle = (np.bincount(tufts, s) / np.bincount(tufts))[tufts]
-    lean = rng.normal(0, 0.07, count)[tufts] + 1.0 * (middle - s)
-    outward = s * lids.nose * np.where(s < 0, 1.3, 0.7) * np.where(upper, 0.55, 0.4)
-    fan = outward + lean + rng.normal(0, 0.04, count)
-    side = np.outer(fan, 0.5 * t * (1 + t)) + np.outer(rng.normal(0, 0.06, count), t**2)
+    lean = rng.normal(0, 0.05, count)[tufts] + 1.5 * (middle - s)
+    outward = s * lids.nose * np.where(s < 0, 1.3, 0.7) * np.where(upper, 0.7, 0.5)
+    fan = outward + lean + rng.normal(0, 0.025, count)
+    side = np.outer(fan, 0.5 * t * (1 + t)) + np.outer(rng.normal(0, 0.05, count), t**2)
     lift = rng.normal(1, 0.12, count)
     # Upper lashes reach forwards before they curl up, so that the tear film mirrors their tips.
     rising, falling = np.outer(lift, 0.7 * t**2 - 0.08 * t), 0.3 * t**2 - np.outer(lift, 0.85 * t)
     up = np.where(upper[:, None], rising, falling)
     out = np.where(upper[:, None], 0.95 * t - 0.15 * t**2, 0.5 * t + 0.1 * t**2)
     length = np.where(upper, 6.8, 3.4) * (1 - 0.4 * s**2 - 0.25 * s)
-    along = (length * rng.uniform(0.35, 1.1, count))[:, None]
+    along = (length * rng.uniform(0.45, 1.05, count))[:, None]
     beyond = rng.uniform(0.1, 0.55, count) * EDGE_WIDTH
     place = jnp.asarray(np.stack([s, beyond]))
     x, y, z = np.asarray(_roots(lids, jnp.asarray(upper), place, centre))
     path = x[:, None] + along * side, y[:, None] + along * up, z[:, None] - along * out
-    radius = np.where(upper, 0.06, 0.038) * rng.uniform(0.65, 1.15, count)
+    radius = np.where(upper, 0.048, 0.034) * rng.uniform(0.65, 1.15, count)
     return np.stack([*path, np.outer(radius, (1.02 - t) ** 0.65)], -1)
 
 

@@ -107,7 +107,7 @@ def preset(
     fields |= {"saturation": _SATURATION, "stroma_thickness": thickness}
     iris = Iris().replace(**fields).replace(**dict(pigments or {}))
     # A share of the thickness, so that the relief is as high in a thicker stroma.
-    arguments: dict[str, Any] = {"relief": 0.11 * usual / thickness, "margins": 0.6}
+    arguments: dict[str, Any] = {"relief": 0.08 * usual / thickness, "margins": 0.6}
     arguments |= _FEATURES.get(colour, {}) | dict(features or {})
     # Presets of one key have patterns of their own.
     key = jax.random.fold_in(key, list(_PIGMENTS).index(colour))

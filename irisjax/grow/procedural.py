@@ -1,12 +1,12 @@
 """Procedural irides: maps grown from a seed.
 
-The stroma follows the ultrasound profile of [F09 Section 3] and has two layers. A meshwork of fine
-fibres that lean to either side and cross lies below; above it cords of uneven thickness wander,
-cross and shade one another; slits part them in the pupillary zone. Fuchs's crypts are gaps between
-bundles, open in a wreath outside the collarette. Density, sharpness and pigment vary in clouds,
-tufts, sectors and rings; where the stroma is thin, its pigment is denser. Features are drawn from
-what photographs show, not fitted to anything. Contrasts along a ring, at scales from 1 to 17
-degrees of angle, are 0.04 to 0.11 of the presets' brightness, and 0.05 to 0.13 in photographs.
+The stroma follows the ultrasound profile of [F09 Section 3]. Its fibres are nets of lens-shaped
+meshes, from coarse to fine: the lines on which noise is 0, straight inside the collarette and bent
+outside; slits part them in the pupillary zone. Fuchs's crypts are gaps between bundles, open in a
+wreath outside the collarette. Density, sharpness and pigment vary in clouds, tufts, sectors and
+rings; where the stroma is thin, its pigment is denser. Features are drawn from what photographs
+show, not fitted to anything. Contrasts along a ring, at scales from 1 to 17 degrees of angle, are
+0.05 to 0.12 of the presets' brightness, and 0.05 to 0.13 in photographs.
 """
 
 import math
@@ -51,23 +51,16 @@ BUNDLE_CELLS = (53, 4, 1.0), (139, 4, 0.0)
 """Cells between bundles of fibres, wide ones and slits: their numbers round the iris and along the
 radius, and whether they are wide.
 """
-UPPER_FIBRES = (
-    (191, 1.2, 0.36, 0.8, 0.02),
-    (167, 1.2, 0.34, 0.8, -0.02),
-    (139, 1.1, 0.32, 0.9, 0.015),
-    (113, 1.0, 0.28, 0.9, -0.015),
-    (83, 0.9, 0.22, 1.0, 0.01),
-    (53, 0.7, 0.16, 1.1, -0.01),
+FIBRES = (
+    (53, 2, 0.1, 0.8),
+    (83, 3, 0.14, 0.8),
+    (127, 4, 0.2, 0.8),
+    (191, 7, 0.28, 0.8),
+    (307, 11, 0.35, 0.7),
 )
-LOWER_FIBRES = (
-    (139, 1.2, 0.35, 0.8, 0.08),
-    (127, 1.2, 0.35, 0.8, -0.08),
-    (181, 1.2, 0.35, 0.6, 0.0),
-)
-"""Layers of strands of the two leaves of the stroma, the lowest first: numbers round the iris, how
-far they wander and how wide they are, relative to their distances, height, and lean in turns.
+"""Nets of fibres, coarse ones first: numbers of meshes round the iris and along the radius, width
+of the fibres relative to a mesh, and their height.
 """
-MOST_FREEDOM = 2.5  # at which strands wander as far as their neighbours are searched for
 MOST_CRYPTS = 53  # crypts, at which all wide cells near the collarette are open
 FIBRE_SPACING = 0.045  # mm between neighbouring fibres, below which they are not drawn
 _Radius = TypeVar("_Radius", Array, np.ndarray)
@@ -192,11 +185,10 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
         crypts, bent_turns, radius, ring, looseness, mist, share, capacity, shape[0]
     )
     crest = _furrows(furrows, turns, radius, amounts["furrows"])
-    # Strands run straight inside the collarette, and wander outside and round a wide pupil.
+    # Fibres run straight inside the collarette, and wander outside and round a wide pupil.
     freedom = compression * (0.25 + smoothstep((radius - ring) / 0.2)) * (0.4 + looseness)
-    freedom = jnp.minimum(freedom, MOST_FREEDOM)
-    strands = bent_turns, radius, freedom, capacity
-    cords, mesh, *streaks = _fibres(fibres, *strands, radius + 0.2 * mist, shape[0] // 4)
+    nets = bent_turns, radius, freedom, capacity
+    cords, mesh, *streaks = _fibres(fibres, *nets, radius + 0.2 * mist, shape[0] // 4)
     streak, gap, sector, tuft = streaks
     cords, mesh = (_defocus(field, focus) for field in (cords, mesh))
     outside = smoothstep((ragged_radius - ring) / 0.2 + 0.5)
@@ -209,12 +201,12 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     opening *= jnp.minimum(1.0, 1.3 / compression)  # a wide pupil closes them
     contrast = amounts["fibres"] * (0.5 + 0.5 * focus)
     # Logarithms of the stroma's thickness: `surface` rises towards the cornea, `inner` lies below.
-    inner = contrast * ((1.6 + opening) * mesh + 1.4 * wool + 0.5 * streak + 0.4 * root)
+    inner = contrast * ((3.2 + opening) * mesh + 2.4 * cords + 1.6 * wool + streak + 0.4 * root)
     frame = 4 * opening * (1 - opening)  # a crypt's rim
-    upper = (3.5 + 2.5 * outside) * (cords - 0.18) + 0.8 * outside * looseness * (bundle - 0.3)
+    upper = (1.5 + 1.5 * outside) * cords + 0.8 * outside * looseness * (bundle - 0.3)
     surface = contrast * upper
     clouds = 0.8 * cloud + 0.6 * wide + 0.8 * mist + 1.3 * sector + 1.7 * tuft
-    surface += 1.3 * amounts["clouds"] * clouds * (0.4 + 0.6 * outside)
+    surface += amounts["clouds"] * clouds * (0.4 + 0.6 * outside)
     crests, pupillary = _collarette(wreath, turns, ragged_radius, ring)
     surface += amounts["collarette"] * (0.6 * crests - 0.3 * pupillary)
     surface -= 0.5 * opening + 0.4 * contrast * slit
@@ -227,24 +219,24 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     edge = smoothstep((radius - 0.78 + 0.2 * cloud + 0.15 * wide + 0.1 * mist) / 0.3)
     inner -= 1.2 * amounts["margins"] * (margin + edge)
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
-    stroma = jnp.log(stroma * thickening) + 0.7 * (surface + inner)
-    mottling = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * (cords - 0.18)
+    stroma = jnp.log(stroma * thickening) + 0.8 * (surface + inner)
+    mottling = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * cords
     abl = jnp.log(thickening) + amounts["abl"] * mottling
     abl = _limit_range(abl, distance, mean_abl, ABL)
     # Texels cannot resolve finer slopes, and the tissue would look carved.
     height = mean_stroma * _soften(jnp.tanh(0.7 * surface) / 0.7, 3)
     height += jnp.where(amounts["abl"] > 0, abl - mean_abl, 0.0)
-    reach = ring + 0.14 + 0.25 * cloud + 0.15 * wide + 0.1 * streak + 0.1 * (cords - 0.18)
+    reach = ring + 0.14 + 0.25 * cloud + 0.15 * wide + 0.1 * streak + 0.1 * cords
     zone = smoothstep((reach - ragged_radius) / 0.5 + 0.5)
     eumelanin = jnp.log1p(amounts["heterochromia"] * zone * (1 + 0.7 * mist))
     dark = 1.2 * cloud + 0.8 * jnp.tanh(4 * wide) + 0.9 * mist + 0.5 * wool + 0.2 * streak
     thinness = jnp.mean(stroma) - stroma
     dark += 0.7 * thinness - 0.6 * (tuft + sector)
     dark += 1.6 * edge + 2.0 * rim + 1.5 * (opening + slit)
-    dark -= contrast * (0.5 * (cords - 0.18) + 0.2 * mesh)
+    dark -= contrast * (0.5 * cords + 0.2 * mesh)
     dark += amounts["collarette"] * (0.6 * pupillary - 0.8 * crests)
     eumelanin += amounts["patches"] * dark
-    reach = ring + 0.25 + 0.3 * wide - 0.3 * cloud + 0.1 * streak + 0.1 * (cords - 0.18)
+    reach = ring + 0.25 + 0.3 * wide - 0.3 * cloud + 0.1 * streak + 0.1 * cords
     zone = smoothstep((reach - ragged_radius) / 0.5 + 0.5)
     cloudy = jnp.maximum(1 + 0.8 * mist + 0.4 * cloud, 0.0)
     pheomelanin = jnp.log1p(amounts["amber"] * zone * cloudy)
@@ -318,66 +310,33 @@ def _limit_range(logs, distance, mean, limits) -> NoiseField:
 def _fibres(
     seed: Seed, turns, radius, freedom, capacity, ragged, most: int
 ) -> tuple[NoiseField, ...]:
-    """Grow the fibres of both leaves of the stroma.
+    """Grow the fibres of the stroma: nets of lens-shaped meshes, the lines where noise is 0.
 
     Returns:
-        Heights of the cords of the upper leaf, from 0; of the finer meshwork below, about 0; and
-        noise along both for streaks, slits, sectors and tufts.
+        Heights of the coarse nets and of the fine ones, about 0, and noise along the fibres for
+        streaks, slits, sectors and tufts.
     """
-    upper_seed, lower_seed, noise_seed = split_seed(seed, 3)
-    # Single precision suffices for fibres, and takes two thirds of the time.
-    x, y, free, room = (v.astype(jnp.float32) for v in (turns, radius, freedom, capacity))
+    net_seed, noise_seed = split_seed(seed, 2)
 
-    def leaf(seed, kinds):
-        few = [(min(n, most), sway * min(1, most / n), *others) for n, sway, *others in kinds]
-        return _strands(seed, x, y, free, room, few).astype(turns.dtype)
-
-    upper, lower = leaf(upper_seed, UPPER_FIBRES), leaf(lower_seed, LOWER_FIBRES)
-    kinds = (min(190, most), 4, 1), (90, 1, 1), (22, 1, 2), (53, 2, 2)
-    streaks = noise_fields(noise_seed, turns, ragged, kinds)
-    return upper, lower - jnp.mean(lower), *streaks
-
-
-def _strands(seed: Seed, turns, radius, freedom, capacity, kinds) -> NoiseField:
-    """Draw layers of wavy strands of finite length that cross: most of them are low and thin, a few
-    high and thick. Those of a layer lie above the layers before and shade them beside.
-
-    Args:
-        seed: Seed.
-        turns: Angles, in turns.
-        radius: Relative radii.
-        freedom: How far strands wander, relative to what their layer may.
-        capacity: Number of strands that fit round the iris.
-        kinds: Of each layer the number of strands; how far they wander, and how wide they are, in
-            distances between them; their height; and how far they lean, in turns from pupil to
-            root.
-    """
-
-    def add_layer(top, kind):
-        layer_seed, count, sway, breadth, height, lean = kind
-        seeds = split_seed(layer_seed, 7)
-        x = (turns + lean * (radius - 0.5)) * count
+    def net(kind):
+        layer_seed, across, along, width, height = kind
+        bend, shift, mesh, place, run = split_seed(layer_seed, 5)
+        coarse = across // 2, 2 * along
+        bent = turns + 0.6 * freedom / across * noise(bend, turns, radius, coarse, 2)
+        moved = radius + 0.4 / along * noise(shift, turns, radius, (across // 2, along), 2)
+        line = jnp.exp(-((noise(mesh, bent, moved, (across, along)) / width) ** 2))
+        line *= 0.35 + 0.65 * smoothstep(0.5 + 1.5 * noise(place, turns, radius, (11, 4), 2))
+        line *= 0.6 + 0.4 * noise(run, bent, moved, (across, 3 * along))
         # None are drawn where many would share a pixel.
-        tallest = height * smoothstep(capacity / count - 0.3)
+        return height * smoothstep(capacity / across - 0.3) * line
 
-        def add_strand(top, offset):
-            strand = jnp.floor(x) + offset
-            draws = [hash_uniform(s, strand % count, 0 * x) for s in seeds]
-            shift, size, middle, length, slow, quick, wave = draws
-            size = ((1 + size) / 2) ** 3
-            wander = jnp.sin((7 + 2 * wave) * radius + jnp.pi * slow)
-            wander += 0.6 * jnp.sin((17 - 4 * wave) * radius + jnp.pi * quick)
-            away = x - strand - 0.5 - 0.5 * shift - 0.4 * sway * freedom * wander
-            away /= breadth * (0.35 + 0.65 * size)
-            along = jnp.abs(radius - 0.5 - 0.5 * middle) / (0.15 + 0.45 * jnp.abs(length))
-            own = tallest * (0.3 + 0.7 * size) * smoothstep(2.5 - 2.5 * along)
-            shaded = top * (1 - 0.6 * own * jnp.exp(-0.2 * away * away))
-            return jnp.maximum(shaded, own * jnp.exp(-away * away)), None
-
-        return jax.lax.scan(add_strand, top, jnp.arange(-3, 4).astype(x.dtype))[0], None
-
-    table = jnp.stack(split_seed(seed, len(kinds))), *jnp.asarray(kinds, radius.dtype).T
-    return jax.lax.scan(add_layer, jnp.zeros_like(turns), table)[0]
+    few = [(min(n, most), max(1, m * min(n, most) // n), *sizes) for n, m, *sizes in FIBRES]
+    table = [jnp.asarray(column) for column in zip(*few, strict=True)]
+    nets = jax.lax.map(net, (jnp.stack(split_seed(net_seed, len(FIBRES))), *table))
+    upper, lower = jnp.sum(nets[:3], 0), jnp.sum(nets[3:], 0)
+    kinds = (min(380, most), 14, 1), (90, 1, 1), (22, 1, 2), (53, 2, 2)
+    streaks = noise_fields(noise_seed, turns, ragged, kinds)
+    return upper - jnp.mean(upper), lower - jnp.mean(lower), *streaks
 
 
 def _fibre_bundles(
