@@ -8,7 +8,7 @@ _TYPES = {"uint16": 12, "float32": 4, "float64": 5, "int16": 2}
 
 def envi(path, cube, *, interleave="bil", **header):
     """Write a cube (rows, columns, bands) as ENVI; entries of `header` replace the usual ones."""
-    axes = {"bil": (0, 2, 1), "bip": (0, 1, 2), "bsq": (2, 0, 1)}[interleave]
+    axes = {"bil": (0, 2, 1), "bip": (0, 1, 2), "bsq": (2, 0, 1)}.get(interleave, (0, 1, 2))
     path.with_suffix(".img").write_bytes(np.ascontiguousarray(cube.transpose(axes)).tobytes())
     rows, columns, bands = cube.shape
     lines = {"samples": columns, "lines": rows, "bands": bands, "header offset": 0}

@@ -4,6 +4,7 @@ import math
 from collections import UserDict
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -155,9 +156,9 @@ def map_command(
     advice = "--resume continues them, --overwrite starts again"
     check_folder(folder, _PARTS_FOLDER, "unfinished maps", files.resume or files.overwrite, advice)
     source, problem = _read_problem(measured, pixels, model, outlines)
+    notes: list[str] = []
     with ThreadPoolExecutor(cores()) as pool:
-        sample = _sample(source)
-        source.check(sample)
+        source, sample = _in_fractions(source, measured.unit, notes)
         starts = fitting.prior_starts(problem, pool.map)
         if math.prod(source.cube.shape[:2]) > 4 * _SAMPLE:
             fits = fitting.fit_pixels(problem, sample, starts, pool.map)
@@ -168,17 +169,18 @@ def map_command(
     groups = measured, pixels, model, posterior
     parts = KeptPieces(folder / _PARTS_FOLDER, repr([group.settings() for group in groups]), sample)
     parts.begin(files.resume)
+    for note in notes:
+        opt.notice(f"{source.cube.path}: {note}")
     settings = _Fitting(problem, starts, flow, posterior.seed)
     _fit(parts, source, settings, workers)
     with replacing(folder / "maps.nc") as temporary:
-        counts = _write_maps(temporary, source, settings, measured, parts)
+        counts, fitted = _write_maps(temporary, source, settings, measured, parts)
         _draw(temporary, folder, problem, outlines, posterior.posterior)
     parts.remove()
     rows, columns, _ = source.cube.shape
     flagged = [f"{n} {FLAGS[flag]}" for flag, n in counts.items() if n]
     print_table([], _median_table(folder / "maps.nc", problem), [], title=f"{folder}: medians")
     opt.notice(f"{rows * columns} pixels: {', '.join(flagged) or 'none flagged'}")
-    fitted = rows * columns - sum(counts[f] for f in list(FLAGS)[:3])
     if counts[PixelFlag.MISFIT] > _MANY_MISFITS * fitted:
         opt.notice("WARNING: the model does not produce the spectra of many pixels: see the misfit")
 
@@ -212,7 +214,7 @@ def _read_problem(
     used = np.flatnonzero(within_range(grid, measured.wavelengths, notes))
     for note in notes:
         opt.notice(f"{cube.path}: {note}")
-    if bands is None and cube.fwhm is not None and (cube.fwhm > 0).all():
+    if bands is None and cube.fwhm is not None:
         spectrum_arguments["bands"] = Passbands.slit(grid[used], cube.fwhm[used])
         opt.notice(f"{cube.path}: bandwidths as the file says; --bandwidth otherwise")
     blank = ij.spectrum(grid[used], np.zeros(used.size), name=str(cube.path), **spectrum_arguments)
@@ -224,11 +226,15 @@ def _read_problem(
         for path in (measured.white, measured.dark)
     )
     return Reflectances(
-        cube, white, dark, measured.white_reflectance,
-        0.01 if measured.unit == "percent" else 1.0,
-        cube.ceiling if measured.ceiling is None else measured.ceiling,
-        _pixel_selector(pixels, cube.shape[:2], outlines), pixels.brightness, used,
-    ), problem  # fmt: skip
+        cube,
+        white,
+        dark,
+        measured.white_reflectance,
+        ceiling=cube.ceiling if measured.ceiling is None else measured.ceiling,
+        keep=_pixel_selector(pixels, cube.shape[:2], outlines),
+        brightness=pixels.brightness,
+        bands=used,
+    ), problem
 
 
 def _pixel_selector(pixels: PixelChoice, shape: tuple[int, ...], outlines: Any) -> Rows | None:
@@ -272,7 +278,18 @@ def _sample(source: Reflectances) -> np.ndarray:
         if sum(map(len, spectra)):
             return np.concatenate(spectra)
     flagged = ", ".join(f"{n} {FLAGS[flag]}" for flag, n in counts.items() if n)
+    if source.white is not None and counts[PixelFlag.NOT_A_NUMBER]:
+        flagged += "; is the white above the dark in every band?"
     raise ValueError(f"{source.cube.path}: no pixel is left to fit: {flagged}")
+
+
+def _in_fractions(
+    source: Reflectances, unit: str | None, notes: list[str]
+) -> tuple[Reflectances, np.ndarray]:
+    """Return the source in fractions of reflectance, and spectra of some of its pixels."""
+    sample = _sample(replace(source, brightness=None))
+    source = source.in_fractions(sample, unit, notes)
+    return source, source.factor * sample if source.brightness is None else _sample(source)
 
 
 class _Fitting(NamedTuple):
@@ -320,9 +337,9 @@ def _write_maps(
     settings: _Fitting,
     measured: CubeMeasurement,
     parts: KeptPieces,
-) -> dict[PixelFlag, int]:
-    """Write the maps of all parts to a file, and count the pixels with each flag."""
-    (rows, columns, _), counts = source.cube.shape, dict.fromkeys(FLAGS, 0)
+) -> tuple[dict[PixelFlag, int], int]:
+    """Write the maps of all parts to a file; count the pixels with each flag, and those fitted."""
+    (rows, columns, _), counts, fitted = source.cube.shape, dict.fromkeys(FLAGS, 0), 0
     problem, flow = settings.problem, settings.flow
     names = problem.fitted
     priors = {n: {"prior": repr(p)} for n, p in zip(problem.free, problem.priors, strict=True)}
@@ -361,6 +378,7 @@ def _write_maps(
             arrays = parts.read(first)
             flags = arrays.pop("flag")
             is_fitted = flags & _UNFITTED == 0
+            fitted += int(is_fitted.sum())
             for name, (more_axes, dtype, _) in variables.items():
                 shape = (*flags.shape, *(len(names) for _ in more_axes))
                 array = flags if name == "flag" else np.full(shape, np.nan, dtype)
@@ -369,7 +387,7 @@ def _write_maps(
                 write(name, first, array)
             for flag in counts:
                 counts[flag] += int(((flags & flag) > 0).sum())
-    return counts
+    return counts, fitted
 
 
 def _fit_rows(
@@ -464,7 +482,7 @@ def _renderer_files(
     middle, reach = np.flip(limbus.centre), max(limbus.semi_axes) + 1
     low, high = (np.clip((middle + d) / step, 0, None).astype(int) for d in (-reach, reach))
     box = np.s_[low[0] : high[0] + 2, low[1] : high[1] + 2]
-    usable = (flags[::step, ::step][box] & ~(PixelFlag.OFF_PRIOR | PixelFlag.MISFIT)) == 0
+    usable = (flags[::step, ::step][box] & (_UNFITTED | PixelFlag.NOT_CONVERGED)) == 0
     values = {n: np.asarray(v) for n, v in problem.fixed.items() if n != "noise"}
     values |= {n: read_map(temporary, n, step)[box].astype(float) for n in problem.fitted}
     iris = fitting.iris_of_pixels(values, problem.base, usable)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from irisjax.infer.pixels import PixelFlag
 from irisjax.io.formats import UNITS, read_spectral_table
+from irisjax.io.measured import reflectance_unit
 from irisjax.io.tables import first_line, naming
 
 _TO_NM = {"nm": 1.0, "um": 1e3}
@@ -20,7 +21,7 @@ _BAND_AXES = ("wavelength", "wavelengths", "wl", "band", "bands", "lambda", "cha
 _WIDTHS = ("fwhm", "bandwidth", "bandwidths")
 _SUFFIXES = ".hdr (ENVI), .nc (NetCDF), .zarr"
 _XARRAY = (".nc", ".nc4", ".cdf", ".h5", ".zarr")
-_BRIGHTEST = 2.0  # median of stored values above which they are no reflectances
+_INTERLEAVES = ("bsq", "bil", "bip")
 _Block = Float[np.ndarray, "rows columns bands"]
 Rows = Callable[[int, int], np.ndarray]
 """Returns something of the rows from the first up to the last."""
@@ -96,6 +97,8 @@ def read_reference(path: str | Path, cube: Cube, **how: str | None) -> Rows:
                 raise ValueError("a table of a reference needs a cube with wavelengths")
             table = read_spectral_table(path)
             grid, values = table.values[np.argsort(table.values[:, 0])].T[:2]
+            for nm in grid[~np.isfinite(values)][:1]:
+                raise ValueError(f"has no value at {nm:g} nm")
             low, high = cube.wavelengths[[0, -1]]
             if grid[0] > low or grid[-1] < high:
                 raise ValueError(
@@ -160,18 +163,30 @@ class Reflectances:
             flags[(mean < low) | (mean > high)] |= np.uint8(PixelFlag.MASKED)
         return values, flags
 
-    def check(self, sample: Float[np.ndarray, "pixels bands"]) -> None:
-        """Raise `ValueError` where valid pixels (pixels, bands) of the cube are no reflectances."""
+    def in_fractions(
+        self, sample: Float[np.ndarray, "pixels bands"], unit: str | None, notes: list[str]
+    ) -> "Reflectances":
+        """Return the same with the factor of the unit, which the caller or the file states; an
+        assumption is added to `notes`.
+
+        Raises:
+            ValueError: Valid pixels of the cube (pixels, bands) are no fractions, and nothing says
+                what they are.
+        """
         if self.white is not None:
-            return
+            return self
         to_do = "give --white (and --dark), or a factor in the header"
         if self.cube.counts:
             raise ValueError(f"{self.cube.path}: has counts, no reflectances: {to_do}")
-        if (median := float(np.median(sample))) > _BRIGHTEST:
-            raise ValueError(
-                f"{self.cube.path}: its median value is {median:.4g}, no reflectance: {to_do}; "
-                "of per cent, --unit percent"
-            )
+        if (middle := float(np.median(sample))) <= 100 or unit is not None:
+            with naming(self.cube.path):
+                found = reflectance_unit(sample.T, unit, "", self.cube.header, notes)
+            if found == "fraction" or not notes:  # per cent is not guessed from some pixels
+                return replace(self, factor=0.01 if found == "percent" else 1.0)
+        raise ValueError(
+            f"{self.cube.path}: its median value is {middle:.4g}, no reflectance: {to_do}; "
+            "of per cent, --unit percent"
+        )
 
 
 @contextlib.contextmanager
@@ -235,6 +250,7 @@ def _envi(path: Path, unit: str | None) -> Cube:
             image: Any = envi.open(path)
         stored = np.dtype(image.dtype)
         rows, columns, bands = image.nrows, image.ncols, image.nbands
+        interleave = header["interleave"]
         factor = float(header.get("reflectance scale factor", 1.0))
         ignored = header.get("data ignore value")
         ignored = None if ignored is None else float(ignored)
@@ -242,7 +258,7 @@ def _envi(path: Path, unit: str | None) -> Cube:
             None if k not in header else np.asarray(header[k], float)
             for k in ("wavelength", "fwhm")
         )
-        good = np.asarray(header.get("bbl", np.ones(bands)), float) > 0
+        good = None if "bbl" not in header else np.asarray(header["bbl"], float)
     except OSError:
         raise
     except Exception as error:  # the library raises errors of its own, KeyError and TypeError too
@@ -252,9 +268,16 @@ def _envi(path: Path, unit: str | None) -> Cube:
     if size != length:
         layout = f"{rows} lines of {columns} samples in {bands} bands of {stored.name}"
         raise ValueError(f"describes {length} bytes ({layout}), but {image.filename} has {size}")
+    if str(interleave).lower() not in _INTERLEAVES:
+        raise ValueError(f"interleave = {interleave}; it must be {', '.join(_INTERLEAVES)}")
+    if not factor > 0:
+        raise ValueError(f"reflectance scale factor = {factor:g}; it must be > 0")
     _check_count(grid, (rows, columns, bands))
+    _check_widths(widths, bands)
+    if good is not None and good.shape != (bands,):
+        raise ValueError(f"bbl (good bands) has {good.size} entries for {bands} bands")
     image.scale_factor = 1.0
-    use = np.flatnonzero(good) if good.shape == (bands,) else np.arange(bands)
+    use = np.arange(bands) if good is None else np.flatnonzero(good > 0)
 
     def read(first: int, last: int) -> _Block:
         block = image.read_subregion((first, last), (0, columns), use_memmap=False)[..., use]
@@ -265,7 +288,7 @@ def _envi(path: Path, unit: str | None) -> Cube:
 
     if grid is not None:
         to_nm = _to_nm(grid, unit or header.get("wavelength units"))
-        widths = None if widths is None or widths.shape != grid.shape else to_nm * widths[use]
+        widths = None if widths is None else to_nm * widths[use]
         grid = to_nm * grid[use]
     whole = stored.kind in "iu"
     ceiling = np.iinfo(stored).max / factor if whole else None
@@ -302,11 +325,14 @@ def _xarray(path: Path, variable: str | None, unit: str | None) -> Cube:
     cube = cube.transpose(*(d for d in cube.dims if d != axes[0]), axes[0])
     coordinates = {str(n).lower(): v for n, v in data.variables.items() if v.dims == (axes[0],)}
     grid = next((v for n, v in coordinates.items() if n in _BAND_AXES[:3]), None)
-    widths = next((np.asarray(v, float) for n, v in coordinates.items() if n in _WIDTHS), None)
+    stated = next((v for n, v in coordinates.items() if n in _WIDTHS), None)
+    widths = None
     if grid is not None:
-        nodes = np.asarray(grid, float)
-        to_nm = _to_nm(nodes, unit or grid.attrs.get("units"))
-        widths, grid = None if widths is None else to_nm * widths, to_nm * nodes
+        nodes, unit = np.asarray(grid, float), unit or grid.attrs.get("units")
+        grid = _to_nm(nodes, unit) * nodes
+        if stated is not None:  # in a unit of their own, or in that of the wavelengths
+            widths = _to_nm(nodes, stated.attrs.get("units", unit)) * np.asarray(stated, float)
+            _check_widths(widths, nodes.size)
     stored = np.dtype(cube.encoding.get("dtype", cube.dtype))
     scale = cube.encoding.get("scale_factor")
     integer = stored.kind in "iu"
@@ -314,6 +340,7 @@ def _xarray(path: Path, variable: str | None, unit: str | None) -> Cube:
     if integer:
         ceiling = np.iinfo(stored).max * (scale or 1.0) + cube.encoding.get("add_offset", 0.0)
     texts = {str(k): str(v) for k, v in data.attrs.items()}
+    texts |= {"unit": str(cube.attrs["units"])} if "units" in cube.attrs else {}
 
     def read(first: int, last: int) -> _Block:
         return np.asarray(cube[first:last].values, np.float64)
@@ -343,6 +370,14 @@ def _check_count(grid: np.ndarray | None, shape: tuple[int, int, int]) -> None:
         message += f"; there are as many {axis}: is the cube transposed? "
         message += "Check interleave, lines, samples and bands"
     raise ValueError(message)
+
+
+def _check_widths(widths: np.ndarray | None, bands: int) -> None:
+    if widths is not None and (widths.shape != (bands,) or not (widths > 0).all()):
+        least = f" from {widths.min():g}" if widths.size else ""
+        raise ValueError(
+            f"fwhm has {widths.size} entries{least} for {bands} bands; it must be > 0 for each band"
+        )
 
 
 def _to_nm(grid: np.ndarray, unit: object) -> float:

@@ -3,7 +3,7 @@ wavelengths in nm and reflectances as fractions (or radiances).
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import NamedTuple, TypedDict, Unpack
 
@@ -187,7 +187,7 @@ def _spectrum(table: Columns, how: ReadOptions, selection: Selection) -> Measure
         scans, slope = _reflectance_of(scans, quantity)
         sd = slope[:, :1] * sd
     elif quantity == REFLECTANCE:
-        unit = _unit(scans, how.get("unit"), selection.label, table.header, notes)
+        unit = reflectance_unit(scans, how.get("unit"), selection.label, table.header, notes)
         if selection.sd is not None:
             _check_unit_of_sd(table.names[columns[-1]], unit)
         scale = 100 if unit == "percent" else 1
@@ -264,8 +264,8 @@ def within_range(x: np.ndarray, limits: tuple[float, float] | None, notes: list[
     return inside
 
 
-def _unit(
-    scans: np.ndarray, unit: str | None, label: str, header: dict[str, str], notes: list[str]
+def reflectance_unit(
+    scans: np.ndarray, unit: str | None, label: str, header: Mapping[str, str], notes: list[str]
 ) -> str:
     """The unit of reflectances, which the caller or the file states, or else their size implies."""
     if not np.median(scans) > 0:

@@ -54,7 +54,10 @@ def test_netcdf_and_zarr(tmp_path, suffix):
     axes = ("wavelength", "y", "x")
     data = xarray.Dataset(
         {"reflectance": (axes, CUBE.transpose(2, 0, 1)), "mask": (("y", "x"), CUBE[..., 0])},
-        {"wavelength": ("wavelength", GRID, {"units": "nm"}), "fwhm": ("wavelength", 0 * GRID + 9)},
+        {
+            "wavelength": ("wavelength", GRID / 1e3, {"units": "um"}),
+            "fwhm": ("wavelength", 0 * GRID + 9, {"units": "nm"}),
+        },
         {"process": "depth-resolved"},
     )
     if suffix == ".nc":
@@ -62,7 +65,7 @@ def test_netcdf_and_zarr(tmp_path, suffix):
     else:
         data.to_zarr(path, consolidated=False, zarr_format=2)
     cube = io.read_cube(path)
-    np.testing.assert_array_equal(cube.wavelengths, GRID)
+    np.testing.assert_allclose(cube.wavelengths, GRID)
     np.testing.assert_array_equal(cube.fwhm, 9)
     np.testing.assert_array_equal(cube.read(1, 3), CUBE[1:3])
     assert cube.header["process"] == "depth-resolved"
@@ -110,6 +113,27 @@ def test_references_of_another_size_are_refused(tmp_path):
     (tmp_path / "white.csv").write_text("wavelength,white\n500,1\n600,2\n700,2\n")
     with pytest.raises(ValueError, match=r"white\.csv: has 500 to 700 nm, the cube 420 to 660 nm"):
         io.read_reference(tmp_path / "white.csv", cube)
+    (tmp_path / "white.csv").write_text("wavelength,white\n400,1\n600,nan\n700,2\n")
+    with pytest.raises(ValueError, match=r"white\.csv: has no value at 600 nm"):
+        io.read_reference(tmp_path / "white.csv", cube)
+
+
+def test_per_cent_is_stated_or_refused(tmp_path):
+    """Of 0.7 to 1.7 % maps were drawn before as if they were fractions, without a word."""
+    sample, notes = CUBE.reshape(-1, GRID.size), []
+    for scale, attributes in ((1, {}), (1, {"units": "1"}), (100, {"units": "%"})):
+        data = xarray.Dataset({"reflectance": (("y", "x", "wavelength"), scale * CUBE, attributes)})
+        data.coords["wavelength"] = ("wavelength", GRID, {"units": "nm"})
+        data.to_netcdf(tmp_path / f"{scale}{len(attributes)}.nc", engine="h5netcdf")
+        source = io.Reflectances(io.read_cube(tmp_path / f"{scale}{len(attributes)}.nc"))
+        source = source.in_fractions(scale * sample, None, notes)
+        np.testing.assert_allclose(source.read(0, 2)[0], CUBE[:2])
+        assert len(notes) == (not attributes)
+        notes.clear()
+    dark = io.Reflectances(io.read_cube(envi(tmp_path / "a.hdr", 30 * CUBE)))
+    with pytest.raises(ValueError, match=r"a\.hdr: its median value is 1.* of per cent, --unit"):
+        dark.in_fractions(30 * sample, None, [])
+    assert dark.in_fractions(30 * sample, "percent", []).factor == 0.01
 
 
 @pytest.mark.parametrize(
@@ -119,6 +143,11 @@ def test_references_of_another_size_are_refused(tmp_path):
         ({"bands": "seven"}, "a.hdr: no ENVI header that can be read"),
         ({"wavelength": listed(GRID[:5])}, "5 wavelengths for 7 bands; there are as many samples"),
         ({"wavelength": listed(GRID[:4])}, "4 wavelengths for 7 bands$"),
+        ({"fwhm": listed(GRID[:6])}, "fwhm has 6 entries from 420 for 7 bands; it must be > 0"),
+        ({"fwhm": listed(0 * GRID)}, "fwhm has 7 entries from 0 for 7 bands; it must be > 0"),
+        ({"bbl": "{1, 0, 1}"}, r"bbl \(good bands\) has 3 entries for 7 bands"),
+        ({"interleave": "bxx"}, "interleave = bxx; it must be bsq, bil, bip"),
+        ({"reflectance scale factor": 0}, "reflectance scale factor = 0; it must be > 0"),
     ],
 )
 def test_broken_headers(tmp_path, header, said):
