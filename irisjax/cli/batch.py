@@ -25,7 +25,7 @@ from irisjax.infer.draws import of_draws
 from irisjax.infer.fit import OFF_PRIOR, Fit, FitStatus, abl_melanin, fit, words_for
 from irisjax.infer.least_squares import levenberg_marquardt
 from irisjax.infer.model_comparison import compare_processes, other_of
-from irisjax.infer.observation import with_values
+from irisjax.infer.observation import Observation, with_values
 from irisjax.infer.parameters import kind
 from irisjax.infer.populations import likelihood_draws, tails
 from irisjax.infer.problem import Problem, reported
@@ -130,11 +130,14 @@ def fit_many(
                     if names := [n for n in chunk if n in tasks]:
                         spectra = [eyes[n] for n in names]
                         path = _find_flow(spectra, arguments, options, folder, sampler.seed)
-                        tasks |= {n: (*tasks[n], path, table.rows[n]) for n in names}
+                        tasks |= {n: (*tasks[n], path) for n in names}
             for n, result in run_pieces(function, tasks, workers):
                 lost = isinstance(result, LostPiece)
                 changes = {"status": FAILED, "warnings": result.reason} if lost else result
-                table.add({n: table.rows[n] | changes})
+                remarks = table.rows[n]["warnings"], changes.get("warnings")
+                table.add(
+                    {n: table.rows[n] | changes | {"warnings": "; ".join(filter(None, remarks))}}
+                )
                 bar.update()
     return table.conclude()
 
@@ -147,6 +150,8 @@ def _read_eyes(source: Path, reading: io.ReadOptions) -> Eyes:
         return spectra | {n: ValueError(f"{source}: {e}") for n, e in faults.items()}
     eyes: dict[str, Measured | ValueError] = {}
     for path in sorted(p for p in source.iterdir() if p.suffix.lower() in _SUFFIXES):
+        if path.stem in eyes:
+            raise ValueError(f"{path}: another file names an eye {path.stem!r}; rename one of them")
         try:
             eyes[path.stem] = io.read_measured(path, **reading)
         except ValueError as error:
@@ -159,7 +164,7 @@ def _chunks(eyes: Eyes) -> Iterator[Eyes]:
     groups: dict[Any, list[str]] = {}
     for name, m in eyes.items():
         shared = None if isinstance(m, ValueError) else (
-            m.wavelengths.tobytes(), m.sd is None, m.correlated, m.bandwidth,
+            m.wavelengths.tobytes(), m.sd is None, m.correlated, m.bandwidth, m.rows,
             process_of([m.header]),
         )  # fmt: skip
         groups.setdefault(shared, []).append(name)
@@ -167,6 +172,12 @@ def _chunks(eyes: Eyes) -> Iterator[Eyes]:
     for names in groups.values():
         for first in range(0, len(names), size):
             yield {name: eyes[name] for name in names[first : first + size]}
+
+
+def _spectrum(measured: Measured, arguments: Mapping[str, Any]) -> Observation:
+    covariance = arguments["covariance"]
+    selected = None if covariance is None else measured.select(covariance)
+    return ij.spectrum(measured, **{**arguments, "covariance": selected})
 
 
 def _row(*cells: str) -> EyeRow:
@@ -195,7 +206,7 @@ def _fit_chunk(
     first = spectra[0]
     try:
         with naming(spectrum_arguments["name"]):
-            spectrum = ij.spectrum(first, **spectrum_arguments)
+            spectrum = _spectrum(first, spectrum_arguments)
         problem = ij.problem(spectrum, **options)
     except ValueError as error:
         return {name: _row(name, FAILED, "", str(error)) for name in chunk}, {}
@@ -208,6 +219,8 @@ def _fit_chunk(
         None if getattr(first, n) is None else jnp.asarray([getattr(m, n) for m in padded], dtype)
         for n in ("values", "sd")
     )
+    if spectrum_arguments["covariance"] is not None:  # in place of the files' noise
+        sds = None
     if devices > 1:
         mesh = jax.make_mesh((devices,), ("eyes",))
         sharding = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec("eyes"))
@@ -296,8 +309,8 @@ class _EyeTask(NamedTuple):
     resume: bool
 
     def problem(self) -> Problem:
-        spectrum = ij.spectrum(self.measured, **{**self.spectrum_arguments, "name": self.name})
-        return ij.problem(spectrum, **self.options)
+        arguments = {**self.spectrum_arguments, "name": self.name}
+        return ij.problem(_spectrum(self.measured, arguments), **self.options)
 
 
 def _find_flow(
@@ -308,12 +321,14 @@ def _find_flow(
     seed: int,
 ) -> Path:
     """Find or train the flow for the spectra of some eyes on one grid, and return its file."""
-    problem = ij.problem(ij.spectrum(eyes[0], **spectrum_arguments), **options)
+    problem = ij.problem(_spectrum(eyes[0], spectrum_arguments), **options)
     if problem.observations[0].sd is not None:
         # A flow for the noise that the files state, by powers of two so that other eyes share it.
         noise = problem.noise
         modelled = [np.hypot(noise.relative * m.values, noise.absolute) for m in eyes]
-        ratios = np.array([m.sd for m in eyes]) / np.array(modelled)
+        given = spectrum_arguments["covariance"] is not None  # in place of the files' noise
+        sds = [problem.observations[0].sd if given else m.sd for m in eyes]
+        ratios = np.array(sds) / np.array(modelled)
         level = 2.0 ** np.round(np.log2(np.median(ratios)))
         noise = dataclasses.replace(
             noise, relative=noise.relative * level, absolute=noise.absolute * level
@@ -323,8 +338,10 @@ def _find_flow(
         return flow_for(problem, folder, seed, pool.map)
 
 
-def _draw_by_flow(eye: _EyeTask, path: Path, row: EyeRow) -> EyeRow:
-    """Draw the posterior of an eye by a flow and return the changed cells of its row."""
+def _draw_by_flow(eye: _EyeTask, path: Path) -> EyeRow:
+    """Draw the posterior of an eye by a flow and return the changed cells of its row, and new
+    warnings.
+    """
     problem, folder, key = eye.problem(), eye.folder, eye.sampler.key
     (observation,), optimum = problem.observations, fit(problem, key=key)
     values, z, covariance = (
@@ -338,10 +355,11 @@ def _draw_by_flow(eye: _EyeTask, path: Path, row: EyeRow) -> EyeRow:
     changes = {"efficiency": f"{efficiency:.3g}", "out_of_distribution": "yes" if unusual else "no"}
     if unusual:
         remark = "the model's own spectra do not look like this one"
-        warnings = "; ".join(filter(None, (row["warnings"], remark)))
-        changes |= {"status": DOUBTFUL, "warnings": warnings}
+        changes |= {"status": DOUBTFUL, "warnings": remark}
     if efficiency < EFFICIENT:
-        return changes | _sample_posterior(eye)
+        sampled = _sample_posterior(eye)
+        remarks = "; ".join(r["warnings"] for r in (changes, sampled) if "warnings" in r)
+        return changes | sampled | ({"warnings": remarks} if remarks else {})
     folder.mkdir(parents=True, exist_ok=True)
     draws = weighted.equal(0, _DRAWS // 2, key=key)
     note = f"draws of a flow weighted by the likelihood, {100 * efficiency:.0f} in 100 effective"
@@ -353,7 +371,7 @@ def _draw_by_flow(eye: _EyeTask, path: Path, row: EyeRow) -> EyeRow:
 
 
 def _sample_posterior(eye: _EyeTask) -> EyeRow:
-    """Sample the posterior of an eye and return the changed cells of its row."""
+    """Sample the posterior of an eye and return the changed cells of its row, and new warnings."""
     problem, folder, sampler = eye.problem(), eye.folder, eye.sampler
     folder.mkdir(parents=True, exist_ok=True)
     chain = folder / "chain.h5"

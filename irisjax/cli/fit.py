@@ -56,8 +56,13 @@ def fit_command(
         raise ValueError("--separate needs two or more spectra of one eye")
     if results.batch is not None:
         raise typer.Exit(batch.fit_many(results.batch, measured, model, sampler, results, workers))
+    alone = [n for n in ("posteriors", "flows") if n in results.typed]
+    alone += [n for n in ("resume", "overwrite") if n in results.typed and folder is None]
+    if alone:
+        need = "--batch" if alone[0] in ("posteriors", "flows") else "-o FOLDER"
+        raise ValueError(f"{dashed(alone[0])} means something only with {need}")
     spectrum_arguments = measured.spectrum_arguments
-    observations, headers = [], []
+    observations, headers, covariance = [], [], spectrum_arguments["covariance"]
     for path in spectra:
         table = io.read_measured(path, **measured.reading_options)
         for remark in (*table.notes, *(f"WARNING: {doubt}" for doubt in table.doubts)):
@@ -65,11 +70,19 @@ def fit_command(
         if measured.bands is not None:
             with naming(f"{measured.bands}, bands for {path}"):
                 spectrum_arguments["bands"].matched(table.wavelengths)
+        typed = [dashed(n) for n in ("relative_noise", "absolute_noise") if n in measured.typed]
+        if typed and (table.sd is not None or covariance is not None):
+            notice(f"{path}: has noise of its own; {' and '.join(typed)} not used")
+        if covariance is not None:
+            with naming(path):
+                spectrum_arguments["covariance"] = table.select(covariance)
         observations.append(ij.spectrum(table, name=path.name, **spectrum_arguments))
         headers.append(table.header)
     options = {"noise": measured.noise, **model.problem_arguments(headers)}
     with report.progress_bar() as bar, nullcontext(here) if folder is None else beside() as draw:
         problem = ij.problem(observations, **options)
+        for path in {p for p in spectra if spectra.count(p) > 1}:
+            raise ValueError(f"{path}: given twice; it would count as two measurements")
         if results.compare:
             compare.report_comparison(problem, folder, sampler, bar, draw)
             raise typer.Exit(0)

@@ -59,8 +59,10 @@ def _parse_discrepancy(text: str) -> Span:
 
 def _parse_names(text: str) -> tuple[str, ...]:
     names = tuple(name.strip() for name in text.split(",") if name.strip())
-    for name in names:
+    for i, name in enumerate(names):
         check_known("parameter", name, PARAMETERS)
+        if name in names[:i]:
+            raise ValueError(f"{name} is there twice")
     return names
 
 
@@ -79,6 +81,15 @@ def _parse_fixed(text: str) -> tuple[str, float]:
 def _parse_prior(text: str) -> tuple[str, AbstractPrior]:
     name, value = _parse_assignment(text)
     return name, prior_of(value, *PARAMETERS[name].support)
+
+
+def _by_name(option: str, pairs: list[tuple[str, Any]] | None) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for name, value in pairs or ():
+        if name in values:
+            raise ValueError(f"{option}: {name} is there twice")
+        values[name] = value
+    return values
 
 
 class SpectralMeasurement(BandOptions):
@@ -150,7 +161,8 @@ class Measurements(SpectralMeasurement):
         metavar="NM",
     )
     covariance: Path | None = opt.option(
-        "of the values' errors: a square table (.csv) or array (.npy), in the file's order",
+        "of the reflectances' errors, as fractions: a square table (.csv) or array (.npy), in the "
+        "file's order",
         parse=Path,
         metavar="FILE",
     )
@@ -168,6 +180,10 @@ class Measurements(SpectralMeasurement):
     def spectrum_arguments(self) -> dict[str, Any]:
         """All arguments of `irisjax.spectrum` but the wavelengths and the values."""
         lamp = self.illuminant if "illuminant" in self.typed else None
+        if lamp is not None and self.quantity != RADIANCE and self.bands is None:
+            raise ValueError(
+                "--illuminant means something only with --quantity radiance or --bands"
+            )
         return {
             **super().spectrum_arguments,
             "quantity": RADIANCE if self.quantity == RADIANCE else REFLECTANCE,
@@ -209,8 +225,8 @@ class PixelModel(opt.Group, panel="Model"):
         """Return arguments of `irisjax.problem` on parameters, for files with these headers."""
         return {
             "free": self.free,
-            "fixed": dict(self.fix or ()),
-            "priors": dict(self.prior or ()),
+            "fixed": _by_name("--fix", self.fix),
+            "priors": _by_name("--prior", self.prior),
             "process": PROCESSES[self.process or process_of(headers)],
         }
 

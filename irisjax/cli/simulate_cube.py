@@ -140,13 +140,13 @@ def _true_maps(iris: ij.Iris, distance: np.ndarray, azimuth: np.ndarray, key: ja
     fields = [
         np.asarray(noise(s, angle / (2 * jnp.pi), jnp.clip(radius, 0, 1), (6, 3), 3)) for s in seeds
     ]
-    odds = typical["saturation"] / (1 - typical["saturation"]) * np.exp(fields[0])
+    odds_of_deoxygenated = (1 / typical["saturation"] - 1) * np.exp(-fields[0])
     parameters = {
         "melanin_load": eumelanin + pheomelanin,
         "abl_fraction": fraction * abl / depth,
         "pheomelanin_share": pheomelanin / (eumelanin + pheomelanin),
         "hemoglobin": typical["hemoglobin"] * stroma * np.exp(0.5 * fields[1]),
-        "saturation": odds / (1 + odds),
+        "saturation": 1 / (1 + odds_of_deoxygenated),
         "scattering_scale": typical["scattering_scale"] * stroma,
     }
     return {n: np.broadcast_to(v, distance.shape) for n, v in parameters.items()}

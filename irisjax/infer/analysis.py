@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import emcee
 import jax
 import numpy as np
 from scipy.special import ndtri
@@ -133,6 +134,9 @@ def summarise(problem: Problem, chains: Chains) -> list[Row]:
             variance = chains.z[..., i].var()
         else:
             rhat, bulk, tail = mixing(values.T) if has_rhat else (np.nan,) * 3
+            # Walkers are not independent chains, as for the parameters.
+            time = emcee.autocorr.integrated_time(values[..., None], tol=0, quiet=True)[0]
+            bulk, tail = (min(ess, values.size / time) for ess in (bulk, tail))
             # The logarithm of a derived parameter has a nearly normal prior.
             variance = np.log(values).var() / np.log(prior[name]).var()
         q2_5, q16, median, q84, q97_5 = np.percentile(values, (2.5, 16, 50, 84, 97.5))

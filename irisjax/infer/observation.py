@@ -118,7 +118,7 @@ def spectrum(
     grid, y = np.asarray(wavelengths, np.float64), np.asarray(values, np.float64)
     if y.ndim == 2 and y.shape[1]:
         y, scatter = mean_of_scans(y)
-        sd = scatter if sd is None else sd
+        sd = scatter if sd is None and covariance is None else sd
     if grid.ndim != 1 or y.shape != grid.shape:
         message = f"{y.shape} values for {grid.shape} wavelengths; need one for each"
         raise ValueError(f"{name}: {message}")

@@ -161,6 +161,7 @@ _FORMS = (
     "lognormal(median, spread), logitnormal(median, spread), uniform(low, high), "
     "loguniform(low, high), normal(mean, sd)"
 )
+_NONE = f"these numbers make no distribution; the forms are {_FORMS}"
 
 
 def prior_of(text: str, low: float, high: float) -> AbstractPrior:
@@ -174,14 +175,16 @@ def prior_of(text: str, low: float, high: float) -> AbstractPrior:
     except (AttributeError, KeyError, ValueError):
         raise ValueError(f"{text!r} is no prior; write one of {_FORMS}") from None
     prior = Normal(a, b, low, high) if kind is Normal else kind(a, b)
-    if not (np.isfinite([a, b]).all() and prior.valid):
-        raise ValueError(f"{text!r}: these numbers make no distribution; the forms are {_FORMS}")
+    if not np.isfinite([a, b]).all():
+        raise ValueError(f"{text!r}: {_NONE}")
     check_prior(repr(text), prior, low, high)
     return prior
 
 
 def check_prior(name: str, prior: AbstractPrior, low: float, high: float) -> None:
     """Raise `ValueError` where a prior is not one of a parameter that lies in [low, high]."""
+    if not prior.valid:
+        raise ValueError(f"{name}: {_NONE}")
     within = f"the parameter's range, {low:g} to {high:g}"
     if prior.low < low or prior.high > high:
         raise ValueError(f"{name} reaches outside {within}")

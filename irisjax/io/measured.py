@@ -61,6 +61,8 @@ class Measured(NamedTuple):
             states a boxcar.
         bandwidth: Full width at half maximum of the instrument's slit, nm, where the file states
             it.
+        rows: Places of the values among all in the file, and how many these are; `None` for those
+            that no file holds.
     """
 
     wavelengths: Float[np.ndarray, " wavelengths"]
@@ -71,6 +73,22 @@ class Measured(NamedTuple):
     doubts: tuple[str, ...] = ()
     correlated: float | None = None
     bandwidth: float | None = None
+    rows: tuple[tuple[int, ...], int] | None = None
+
+    def select(self, covariance: np.ndarray) -> np.ndarray:
+        """Select the rows and columns of these values from a covariance in the file's order.
+
+        Raises:
+            ValueError: The covariance has another size than the file.
+        """
+        places, count = self.rows or (range(len(self.values)), len(self.values))
+        if covariance.shape != (count, count):
+            size = " by ".join(map(str, covariance.shape))
+            raise ValueError(
+                f"the covariance is {size}; it must be {count} by {count}, a row for each "
+                "wavelength of the file, in its order"
+            )
+        return covariance[np.ix_(places, places)]
 
 
 class ReadOptions(TypedDict, total=False):
@@ -163,7 +181,7 @@ def _spectrum(table: Columns, how: ReadOptions, selection: Selection) -> Measure
         raise ValueError("no wavelength has a value")
     if not valid.all():
         notes.append(f"{(~valid).sum()} of {valid.size} wavelengths without a value skipped")
-    values, where = values[valid], where[valid]
+    given, values, where = np.flatnonzero(valid), values[valid], where[valid]
     x = _in_nm(values[:, 0], where, table.names[0], how.get("wavelength_unit"), notes)
     valid = within_range(x, how.get("wavelengths"), notes)
     order = np.flatnonzero(valid)[np.argsort(x[valid], kind="stable")]
@@ -189,7 +207,7 @@ def _spectrum(table: Columns, how: ReadOptions, selection: Selection) -> Measure
     elif quantity == REFLECTANCE:
         unit = reflectance_unit(scans, how.get("unit"), selection.label, table.header, notes)
         if selection.sd is not None:
-            _check_unit_of_sd(table.names[columns[-1]], unit)
+            _check_unit_of_sd(table.names[columns[-1]], unit, notes)
         scale = 100 if unit == "percent" else 1
         scans, sd = scans / scale, sd / scale
     doubts = () if quantity == RADIANCE else _doubts(x, scans)
@@ -203,7 +221,8 @@ def _spectrum(table: Columns, how: ReadOptions, selection: Selection) -> Measure
         for i in np.flatnonzero(~(noise > 0))[:1]:
             raise ValueError(f"{where[i]}: standard deviation {noise[i]:g}; it must be > 0")
     correlated, bandwidth = _resolution(table, x, notes)
-    return Measured(x, y, noise, tuple(notes), table.header, doubts, correlated, bandwidth)
+    rows = tuple(given[order].tolist()), len(table.values)
+    return Measured(x, y, noise, tuple(notes), table.header, doubts, correlated, bandwidth, rows)
 
 
 def _resolution(
@@ -306,9 +325,13 @@ def _factor_of_sd(name: str, scans: np.ndarray) -> np.ndarray | float:
     return factor * np.abs(scans) / (100 if _PERCENT.search(name) else 1)
 
 
-def _check_unit_of_sd(name: str, unit: str) -> None:
+def _check_unit_of_sd(name: str, unit: str, notes: list[str]) -> None:
+    if _RELATIVE.search(name):
+        return
+    if unit == "percent" and not _PERCENT.search(name):
+        notes.append(f"column {name!r} read as per cent, as the values")
     other = _FRACTION if unit == "percent" else _PERCENT
-    if other.search(name) and not _RELATIVE.search(name):
+    if other.search(name):
         to_do = "in the unit of the values, or call it 'relative sd' (of each value)"
         raise ValueError(f"column {name!r} is beside a {unit}: give it {to_do}")
 

@@ -106,6 +106,34 @@ def test_batch(irisjax, done, eye, copies, searched, tmp_path):
     assert searched == [4, 4, 4, 4, 2, 2]
 
 
+def test_a_covariance_stands_for_the_noise_of_the_files(done, searched, monkeypatch, tmp_path):
+    """The sd of each file replaced that of the covariance."""
+    eyes, noise = tmp_path / "eyes", []
+    eyes.mkdir()
+    for name, order in (("a", (0, 1, 2)), ("b", (2, 1, 0))):
+        rows = [("450,0.05,1", "500,0.04,1", "600,0.03,1")[i] for i in order]
+        (eyes / f"{name}.csv").write_text("\n".join(["nm,R (fraction),sd", *rows]))
+    np.save(tmp_path / "c.npy", np.diag([4e-6, 9e-6, 16e-6]))
+    search = batch._fit_all
+
+    def searching(problem, values, sds, key):
+        noise.append((sds, problem.observations[0].sd.tolist()))
+        return search(problem, values, sds, key)
+
+    monkeypatch.setattr(batch, "_fit_all", searching)
+    done("fit", "--batch", eyes, "--covariance", tmp_path / "c.npy", *FREE)
+    rising, falling = [2e-3, 3e-3, 4e-3], [4e-3, 3e-3, 2e-3]
+    assert [sds for sds, _ in noise] == [None] * 4
+    np.testing.assert_allclose([sd for _, sd in noise], [rising, rising, falling, falling])
+
+
+def test_two_files_do_not_name_one_eye(irisjax, copies, quick):
+    eyes = copies("left")
+    (eyes / "left.txt").write_bytes((eyes / "left.csv").read_bytes())
+    status, _, err = irisjax("fit", "--batch", eyes)
+    assert status == 2 and "another file names an eye 'left'; rename one of them" in err
+
+
 @pytest.mark.peer
 def test_a_batch_is_searched_by_the_library(irisjax, eye, copies, quick, tmp_path):
     eyes, out = copies("a", "b"), tmp_path / "out"

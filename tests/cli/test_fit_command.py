@@ -146,6 +146,21 @@ def test_what_the_instrument_averages_is_stated(seen, eye, tmp_path):
     np.testing.assert_allclose(found.sd, np.sqrt(1.1e-6), rtol=1e-6)
 
 
+def test_a_covariance_is_in_the_order_of_the_file(seen, irisjax, tmp_path):
+    """Of a file with falling wavelengths it was applied in the reverse order."""
+    path, c = tmp_path / "eye.csv", tmp_path / "c.npy"
+    path.write_text("nm,R (fraction),sd\n600,0.03,1\n550,,1\n500,0.04,1\n450,0.05,1\n")
+    np.save(c, np.diag([4e-6, 9e-6, 16e-6, 25e-6]))
+    found, err = seen(path, "--covariance", c, "--relative-noise", "0.1")
+    np.testing.assert_allclose(found.wavelengths, [450, 500, 600])
+    np.testing.assert_allclose(found.sd, [5e-3, 4e-3, 2e-3])
+    assert f"{path}: has noise of its own; --relative-noise not used" in err
+    np.save(c, np.eye(3))
+    said = "the covariance is 3 by 3; it must be 4 by 4, a row for each wavelength of the file"
+    status, _, err = irisjax("fit", path, "--covariance", c)
+    assert status == 2 and said in err
+
+
 def test_bands_cornea_and_aperture_are_stated(seen, irisjax, tmp_path):
     path, bands = tmp_path / "eye.csv", tmp_path / "bands.csv"
     bands.write_text("centre,fwhm\n450,20\n550,20\n650,30\n")
@@ -256,6 +271,12 @@ def test_short_chains_end_with_status_three(irisjax, eye, sampled, monkeypatch):
         (("{eye}", "--fix", "gain"), "--fix: 'gain': write NAME=VALUE"),
         (("{eye}", "--fix", "gain=-1"), "gain = -1 is outside (0, 1e+06]"),
         (("{eye}", "--fix", "gian=1"), "--fix: unknown 'gian'"),
+        (("{eye}", "--fix", "gain=1", "--fix", "gain=2"), "--fix: gain is there twice"),
+        (("{eye}", "--free", "gain,gain"), "--free: gain is there twice"),
+        (("{eye}", "{eye}"), "given twice; it would count as two measurements"),
+        (("{eye}", "--flows", "flows"), "--flows means something only with --batch"),
+        (("{eye}", "--resume"), "--resume means something only with -o FOLDER"),
+        (("{eye}", "--illuminant", "A"), "--illuminant means something only with --quantity"),
         (("{eye}", "--prior", "gain=flat"), "'flat' is no prior"),
         (("{eye}", "--walkers", "3"), "--walkers: 3 is outside [4, 4096]"),
         (("{eye}", "--process", "ilit"), "--process: unknown 'ilit'"),

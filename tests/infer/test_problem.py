@@ -15,7 +15,7 @@ from experiments.closed_formulas import BeerLambert
 from irisjax.infer.fit import fit
 from irisjax.infer.noise import Noise
 from irisjax.infer.parameters import PARAMETERS
-from irisjax.infer.priors import LogNormal
+from irisjax.infer.priors import LogNormal, Uniform
 from irisjax.infer.problem import pointwise
 from irisjax.numerics import chunks
 from irisjax.tissue.scattering import POWER_LAW_LIMITS
@@ -270,6 +270,8 @@ by_ilit = partial(ij.problem, ONES)
         (lambda: by_ilit(free=["gain"], fixed={"gain": 1.0}), "both free and fixed"),
         (lambda: by_ilit(free=[]), "nothing is free"),
         (lambda: by_ilit(free=["gain"], priors={"noise": LogNormal(1.0, 1.0)}), "is not free"),
+        (lambda: by_ilit(priors={"gain": LogNormal(-1.0, 0.5)}), "make no distribution"),
+        (lambda: by_ilit(priors={"abl_fraction": Uniform(0.5, 0.2)}), "make no distribution"),
         (lambda: ij.problem(ij.spectrum(MANY, MANY), noise=Noise(**SMOOTH)), "1001 by 1001"),
         (lambda: Noise(**SMOOTH, degrees_of_freedom=4.0), "do not go together"),
         (lambda: Noise(discrepancy=0.1), "needs its length"),
@@ -290,6 +292,11 @@ by_ilit = partial(ij.problem, ONES)
 def test_wrong_problems_and_data_are_named(state, message):
     with pytest.raises(ValueError, match=message):
         state()
+
+
+def test_a_covariance_stands_for_the_scatter_of_scans():
+    seen = ij.spectrum(TWO, [[0.1, 0.2], [0.1, 0.3]], covariance=np.diag([4e-4, 9e-4]))
+    np.testing.assert_allclose(seen.sd, [0.02, 0.03])
 
 
 def test_spectra_of_colour_science_and_read_ones_stand_for_wavelengths_and_values(tmp_path):
