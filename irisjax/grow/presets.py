@@ -35,13 +35,13 @@ _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red an iris.
 _THICKNESS = {"hazel": 0.35, "amber": 0.55, "brown": 0.35}
 _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.0298, 0.00629, 0.0705, 0.213, 7.31), (0.0312, 0.0186, 0.102, 0.15, 13.9)),
-    "grey": ((0.077, 0.0334, 0.513, 0.157, 9.53), (0.0585, 0.0638, 0.589, 0.115, 17.4)),
-    "green": ((0.00744, 0.523, 0.98, 0.0141, 15.8), (0.0252, 0.728, 0.977, 0.0284, 26.2)),
-    "hazel": ((0.502, 0.62, 0.665, 0.251, 29.6), (0.296, 0.744, 0.554, 0.171, 31.5)),
-    "amber": ((0.0719, 0.856, 0.504, 0.137, 35.7), (0.0542, 0.901, 0.544, 0.0591, 33)),
-    "brown": ((0.39, 1.04, 0.809, 0.304, 38.2), (0.435, 0.87, 0.717, 0.202, 37)),
-    "dark-brown": ((1.23, 0.192, 0.454, 0.263, 30), (0.638, 0.389, 0.54, 0.202, 33)),
+    "blue": ((0.0344, 0.01, 0.106, 0.207, 7.23), (0.112, 0.00785, 0.0226, 0.142, 14)),
+    "grey": ((0.0806, 0.0327, 0.499, 0.147, 8.98), (0.0395, 0.0564, 0.533, 0.11, 16.2)),
+    "green": ((0.00743, 0.532, 0.98, 0.0138, 15.7), (0.0253, 0.738, 0.98, 0.0279, 25.9)),
+    "hazel": ((0.517, 0.607, 0.667, 0.261, 31.7), (0.194, 1.05, 0.656, 0.133, 34.2)),
+    "amber": ((0.0676, 0.838, 0.538, 0.137, 36.8), (0.047, 0.916, 0.553, 0.0595, 33.2)),
+    "brown": ((0.342, 1.08, 0.809, 0.311, 38.4), (0.436, 0.725, 0.68, 0.234, 36.5)),
+    "dark-brown": ((1.14, 0.23, 0.461, 0.281, 30.8), (0.614, 0.462, 0.668, 0.174, 36.1)),
 }
 # Thicker stroma is darker in brown irides, so that their fibres show less.
 _BROWN = {"fibres": 0.6, "clouds": 0.5, "collarette": 0.5}
@@ -79,7 +79,7 @@ def preset(
     other soft tissues have. Hazel, brown and amber also need a stroma of 0.35, 0.35 and 0.55 mm.
     Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
     Exp. Eye Res. 67, 293]. The redness of photographed irides requires more blood than LB06's 0.084
-    mmol/l, at most 0.304, an eighth of pure blood's; its saturation is 0.95, as in the
+    mmol/l, at most 0.311, an eighth of pure blood's; its saturation is 0.95, as in the
     choroid, since a saturation of 0.5 would require twice as much blood. Fibrils have LB06's
     radius, which has the same effect as the strength. Hazel and green eyes are browner near the
     pupil, where their maps add eumelanin.
