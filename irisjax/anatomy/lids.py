@@ -6,6 +6,7 @@ the globe lies, with the caruncle in its nasal corner. Distances are those of ad
 [Vasanthakumar et al. 2013: the opening is 30 mm by 10 mm] or set by eye; no face was measured.
 """
 
+import math
 from typing import NamedTuple
 
 import equinox as eqx
@@ -162,6 +163,8 @@ def _ramp(x: _Reals) -> _Reals:
 
 FENCE = 17.5
 """Radius of the sphere on which lashes are drawn that take light from the eye, mm."""
+SEEN_FROM = math.radians(45.0)
+"""Largest angle from the axis from which lids are drawn: further aside they hide one another."""
 
 
 def line_at_axis() -> float:

@@ -11,6 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from irisjax import io
+from irisjax.anatomy.lids import SEEN_FROM
 from irisjax.cli import options as opt
 from irisjax.cli.compiled import cached_tables
 from irisjax.cli.scenes import EyeWithPupil, change_scene
@@ -235,7 +236,7 @@ def animation_frames(
         elif change == "light":
             light = illuminate(view, texels, scene.replace(lights=lamp(s)), tables)
         elif change == "camera":
-            polar, azimuth = direction(s, _SWING)
+            polar, azimuth = direction(s, _SWING if scene.eye.lids is None else SEEN_FROM)
             camera = dataclasses.replace(scene.camera, polar=polar, azimuth=azimuth)
             view = project_visible(scene.eye, camera, once=True)
             texels = texture(view, scene)

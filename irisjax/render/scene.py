@@ -6,6 +6,7 @@ import equinox as eqx
 import numpy as np
 
 from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.lids import SEEN_FROM
 from irisjax.anatomy.sclera import VeinMap
 from irisjax.measure.colour import OBSERVER
 from irisjax.numerics.checks import is_known
@@ -48,8 +49,8 @@ class Scene(eqx.Module):
 
     Raises:
         ValueError: No light at all; maps without tissue, or tissue without a process; lights of
-            two spectra; a lamp wider than a half space; wavelengths and a light that has a colour
-            but no spectrum.
+            two spectra; a lamp wider than a half space; lids seen from too far aside; wavelengths
+            and a light that has a colour but no spectrum.
     """
 
     iris: Iris | None
@@ -78,6 +79,12 @@ class Scene(eqx.Module):
         lights = self.lights
         if lights is not None and lights.illuminant != self.illuminant:
             raise ValueError(f"the lights are {lights.illuminant}, the scene is {self.illuminant}")
+        polar = self.camera.polar
+        if self.eye.lids is not None and is_known(polar) and polar > SEEN_FROM + 1e-6:
+            raise ValueError(
+                f"the camera is {np.degrees(polar):.3g}° off the axis; lids are drawn up to "
+                f"{np.degrees(SEEN_FROM):.0f}°: move it, or leave the lids out"
+            )
         if self.wavelengths is not None:
             if self.maps is not None and self.maps.residual is not None:
                 raise ValueError(

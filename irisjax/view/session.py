@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from irisjax.anatomy.lids import SEEN_FROM
 from irisjax.io.scenes import in_degrees
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import check_known
@@ -270,6 +271,8 @@ class Session(abc.ABC, Generic[S]):
             towards = base.lights.towards.at[0].set(lamps.towards[0])
             lamps = dataclasses.replace(base.lights, towards=towards)
         irradiance = lamps.irradiance.at[0].set(s.irradiance)
+        if base.eye.lids is not None:
+            camera[0] = min(camera[0], SEEN_FROM)
         polar, azimuth, width = (jnp.asarray(v, float) for v in (*camera, s.width))
         return {
             "lights": dataclasses.replace(lamps, irradiance=irradiance),

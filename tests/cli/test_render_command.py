@@ -164,6 +164,7 @@ OPTIONS = {
     "scene.toml --pupil-radius 0,5": "--pupil-radius: '0,5' is not a number in [0.25, 4.75] mm",
     "scene.toml --camera 30": "--camera '30': write POLAR,AZIMUTH",
     "scene.toml --camera 30,0,200": "'30,0,200': camera width = 200 mm is outside [0.1, 100]",
+    "--preset blue --lids --camera 70,0": "the camera is 70° off the axis; lids are drawn up to 45°",
     "scene.toml --frames 3": "--frames means something only with --animate",
     "scene.toml --exposure nan": "--exposure: nan is outside (0, inf)",
     "scene.toml --spectral red": "--spectral: 'red' is not a grid",

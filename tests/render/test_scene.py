@@ -9,6 +9,7 @@ import pytest
 import irisjax as ij
 from common import quick_jit
 from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.anatomy.lids import Lids
 from irisjax.render.bands import colour_bands
 from irisjax.render.camera import Camera
 from irisjax.render.illumination import Illumination
@@ -210,6 +211,8 @@ def test_scenes_that_make_no_sense_are_named():
         Scene(LIGHT, lights=None)
     with pytest.raises(ValueError, match="the lights are A, the scene is D65"):
         Scene(LIGHT, lights=Lights.distant(0.1, 0.2, illuminant="A"))
+    with pytest.raises(ValueError, match="camera is 50° off the axis; lids are drawn up to 45°"):
+        Scene(LIGHT, eye=Eye(lids=Lids()), camera=Camera(polar=np.radians(50)))
     for size in ((0, 5), (5, 20000)):
         with pytest.raises(ValueError, match="camera size"):
             Camera(size=size)
