@@ -54,7 +54,7 @@ _UPWARD = 0.2  # height of the pupil's middle above the limbus's, mm  [Wyatt 199
 # Standard deviations (degrees) of the tilts of eyes that look at the camera and of others, and the
 # share of the others; assumed.
 _FRONTAL_TILT, _ASIDE_TILT, _ASIDE = 8.0, 35.0, 0.8
-_STRETCHED, _STRETCH = 0.015, 0.12  # share of files that are, and the logarithm's spread; assumed
+_STRETCHED, _STRETCH = 0.1, 0.12  # share of files that are, and the logarithm's spread; assumed
 _RELEVANT_STRETCH = 0.06  # logarithm of a stretch that matters
 _OUTLINE_SD = 0.002  # standard deviation of an outline's middle and size, relative to its radius
 _PUPIL_RADII = (0.25, 4.75)  # allowed pupil radii, in mm
@@ -264,8 +264,8 @@ def tilts_of_people(
     tilt = np.radians(np.linspace(0, 50, 201))
     azimuths = np.radians(np.arange(0, 360, 5)) if azimuth is None else np.array([azimuth])
     stretch = np.append(0.0, np.linspace(-0.3, 0.3, 60))
-    prior = _STRETCHED * np.exp(-0.5 * (stretch / _STRETCH) ** 2)
-    prior *= np.where(stretch == 0, 0, 1) / prior[1:].sum()
+    prior = np.exp(-0.5 * (stretch / _STRETCH) ** 2)
+    prior *= np.where(stretch == 0, 0, _STRETCHED) / prior[1:].sum()
     prior[0] = 1 - _STRETCHED
     t, a, s = tilt[:, None, None], azimuths[None, :, None], stretch
     flattening, wide = -np.log(np.cos(t)) * np.exp(2j * (a + np.pi / 2)), s + 0j
