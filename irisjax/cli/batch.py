@@ -88,10 +88,11 @@ def fit_many(
     def covariance_files() -> Mapping[Path, bytes]:
         if target is None:
             return {}
-        table_rows = [list(r.values()) for name in eyes for r in covariances.get(name, ())]
+        table_rows = [list(r.values()) for name in table.order for r in covariances.get(name, ())]
         return {covariances_beside(target): csv_of([COVARIANCES, *table_rows]).encode()}
 
-    table.begin(results.resume, results.overwrite, is_done)
+    table.begin(results.resume, results.overwrite)
+    table.redo(is_done)
     table.beside = covariance_files
     files = [str(p) for p in (measured.bands, measured.covariance) if p is not None]
     # Messages that concern all eyes of a chunk begin with this name.

@@ -1,7 +1,7 @@
 """`irisjax clone --batch`: a folder for each photograph, a table and a contact sheet."""
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import jax
@@ -49,15 +49,15 @@ def clone_many(
     if typed := [dashed(name) for name in _SINGLE_OPTIONS if name in picture.typed]:
         raise ValueError(f"--batch does not go with {', '.join(typed)}: they are of one photograph")
     photographs = _find_photographs(source)
-    folders = {name: results.output / folder for name, folder in _folder_names(photographs).items()}
     target = results.output / "clones.csv"
     table = EyeTable(tuple(photographs), _FIRST_COLUMNS, "photograph", target)
-
-    def is_done(row: EyeRow) -> bool:
-        folder = folders.get(row["file"])
-        return folder is not None and (folder / results.summary).exists()
-
-    table.begin(results.resume, results.overwrite, is_done)
+    table.begin(results.resume, results.overwrite)
+    # A new folder must not be that of an earlier run's photograph.
+    before = {name for name, row in table.rows.items() if row["status"] != FAILED}
+    cloned = [name for name in table.order if name in photographs or name in before]
+    names = _folder_names(table.order) | _folder_names(cloned)
+    folders = {name: results.output / folder for name, folder in names.items()}
+    table.redo(lambda row: (folders[row["file"]] / results.summary).exists())
     # A process that draws figures cannot be handed to other workers.
     shared = None if workers.in_other_processes else draw
     pieces = {
@@ -71,7 +71,7 @@ def clone_many(
             table.add({name: result})
             bar.set_description("photographs", refresh=False)
             bar.update()
-    labels = {f"{name}: {table.rows[name]['status']}": folders[name] for name in photographs}
+    labels = {f"{name}: {table.rows[name]['status']}": folders[name] for name in table.order}
     pictures = {
         label: next(filter(Path.exists, (folder / name for name in _SHEET_PICTURES)), None)
         for label, folder in labels.items()
@@ -116,7 +116,7 @@ def _find_photographs(source: Path) -> dict[str, Path]:
     return {path.name: path for path in paths}
 
 
-def _folder_names(names: Iterable[str]) -> dict[str, str]:
+def _folder_names(names: Collection[str]) -> dict[str, str]:
     """Name a folder for each file, with the file's suffix where several differ in nothing else."""
     stems = [Path(name).stem for name in names]
     return {n: s if stems.count(s) == 1 else n for n, s in zip(names, stems, strict=True)}

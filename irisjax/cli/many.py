@@ -3,7 +3,7 @@
 import csv
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -25,13 +25,14 @@ class EyeTable:
     """Rows of eyes by name.
 
     Attributes:
-        eyes: Names of all eyes, in their order.
+        eyes: Names of the eyes of this run, in their order.
         first: The first columns of every row, including `status`; the first is the name, the last
             the reason why an eye is doubtful or failed.
         unit: Word for an eye in messages.
         target: The file, or `None` to print the table.
         rows: Rows of the eyes that are done, by name.
         beside: Function that makes the files to be written together with the table.
+        order: Names of all eyes in the order of the table, those of earlier runs too.
     """
 
     eyes: tuple[str, ...]
@@ -40,17 +41,17 @@ class EyeTable:
     target: Path | None
     rows: dict[str, EyeRow] = field(default_factory=dict)
     beside: Beside = dict
+    order: Sequence[str] = ()
     _due: float = 0.0
 
-    def begin(
-        self, resume: bool, overwrite: bool, is_usable: Callable[[EyeRow], bool] = lambda row: True
-    ) -> None:
-        """Read the table of a stopped run if it is continued: the rows that did not fail and that
-        `is_usable` accepts.
+    def begin(self, resume: bool, overwrite: bool) -> None:
+        """Read the table of a stopped run if it is continued: rows that did not fail, and all rows
+        of eyes that are not in this run, which stay where they were between the others.
 
         Raises:
             ValueError: There is a table, and neither `resume` nor `overwrite`.
         """
+        self.order = self.eyes
         if self.target is None or not self.target.exists():
             return
         if not (resume or overwrite):
@@ -60,8 +61,19 @@ class EyeTable:
             table = csv.DictReader(self.target.read_text(encoding="utf-8").splitlines())
             if tuple(table.fieldnames or ())[: len(self.first)] != self.first:
                 raise ValueError(f"{self.target}: is no table of --batch; --overwrite starts again")
-            usable = (row for row in table if row["status"] != FAILED and is_usable(row))
-            self.rows.update({row[self.first[0]]: row for row in usable})
+            places, before = {name: (i, 0) for i, name in enumerate(self.eyes)}, -1
+            for line, row in enumerate(table, 1):
+                name = row[self.first[0]]
+                before, nth = places.setdefault(name, (before, line))
+                if nth or row["status"] != FAILED:
+                    self.rows[name] = row
+            self.order = sorted(places, key=places.__getitem__)
+
+    def redo(self, is_done: Callable[[EyeRow], bool]) -> None:
+        """Drop the rows of this run's eyes that are not done."""
+        for name in self.eyes:
+            if name in self.rows and not is_done(self.rows[name]):
+                del self.rows[name]
 
     def left(self) -> list[str]:
         """Return the names of the eyes that have no row."""
@@ -72,7 +84,8 @@ class EyeTable:
         """Show a progress bar on a terminal; however the work ends, the table is written."""
         from tqdm import tqdm
 
-        counts: dict[str, Any] = {"total": len(self.eyes), "initial": len(self.rows)}
+        counts: dict[str, Any] = {"total": len(self.eyes)}
+        counts["initial"] = counts["total"] - len(self.left())
         try:
             with tqdm(unit=self.unit, desc="compiling", disable=None, **counts) as bar:
                 yield bar
@@ -96,7 +109,7 @@ class EyeTable:
 
     def text(self) -> str:
         """Return the table as CSV, with the columns of the longest row first."""
-        rows = [self.rows[name] for name in self.eyes if name in self.rows]
+        rows = [self.rows[name] for name in self.order if name in self.rows]
         longest = sorted(rows, key=len, reverse=True)
         columns = list(dict.fromkeys(column for row in longest for column in row))
         return csv_of([columns, *([row.get(n, "") for n in columns] for row in rows)])
@@ -113,4 +126,4 @@ class EyeTable:
                 examples = ", ".join(names[:8]) + (", ..." if len(names) > 8 else "")
                 counted = f"{len(names)} of {len(self.eyes)} {self.unit}s"
                 notice(f"{counted} {verb}: {examples}; the column {self.first[-1]} says why")
-        return 3 if any(row["status"] == FAILED for row in self.rows.values()) else 0
+        return 3 if any(self.rows[name]["status"] == FAILED for name in self.eyes) else 0

@@ -134,6 +134,19 @@ def test_two_files_do_not_name_one_eye(irisjax, copies, quick):
     assert status == 2 and "another file names an eye 'left'; rename one of them" in err
 
 
+def test_eyes_of_another_run_stay_in_the_table(done, eye, copies, searched, tmp_path):
+    eyes, out = copies("a", "b", "c"), tmp_path / "out"
+    done("fit", "--batch", eyes, "-o", out, *FREE)
+    before = rows_of(out / "fits.csv")
+    (eyes / "a.csv").unlink()
+    (eyes / "c.csv").rename(eyes / "d.csv")
+    done("fit", "--batch", eyes, "-o", out, *FREE, "--resume")
+    after = rows_of(out / "fits.csv")
+    assert [*after] == ["a", "b", "c", "d"] and before.items() <= after.items()
+    with (out / "fits-covariance.csv").open() as file:
+        assert [*{row["eye"]: 0 for row in csv.DictReader(file)}] == [*after]
+
+
 @pytest.mark.peer
 def test_a_batch_is_searched_by_the_library(irisjax, eye, copies, quick, tmp_path):
     eyes, out = copies("a", "b"), tmp_path / "out"

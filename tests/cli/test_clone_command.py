@@ -351,6 +351,14 @@ def test_colours_of_an_eye_and_of_a_folder(irisjax, tmp_path, photo, truth, monk
     (eyes / "a.jpg").rename(eyes / "b.jpg")
     assert irisjax(*run[:2], eyes / "*.png", *run[3:], "--resume")[0] == 0
     assert json.loads((folder / "a" / "colour.json").read_text())["regions"]
+    kept = (folder / "clones.csv").read_text().splitlines()[1:]  # of other photographs too
+    assert [line.split(",")[:2] for line in kept] == [
+        ["a.jpg", "failed"],
+        ["a.png", "ok"],
+        ["grey.png", "failed"],
+    ]
+    with Image.open(folder / "contact_sheet.jpg") as sheet:
+        assert sheet.size == (2 * 488, 2 * (278 + 30))
 
 
 @pytest.mark.slow  # compiles for minutes
