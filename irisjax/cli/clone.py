@@ -40,6 +40,7 @@ _FIGURES = "side_by_side.png", "differences.png", "luminance.png"
 _PROCESSES = {"ilit-2006": Separable, "depth-resolved": RadiativeIntegrator}
 _INTEGRATORS = INTEGRATORS | {"single-scattering": TabulatedSingleScattering}
 _DEFAULTS = cloning.CloneSettings()
+_OF_COLOURS = {"photograph", "eye", "limbus", "pupil", "seed"}  # options that --colour uses too
 
 
 class ClonePicture(opt.Group, panel="Photograph"):
@@ -197,8 +198,10 @@ def clone_command(
         sources = "the PHOTO of an eye, or --batch with a folder of photographs"
         raise ValueError(f"give {sources}{'' if results.batch is None else ', not both'}")
     workers.check(results.batch)
-    if results.colour and "stop_after" in results.typed:
-        raise ValueError("--colour does not go with --stop-after: it needs the outlines only")
+    unused = (picture.typed | model.typed) - _OF_COLOURS | (results.typed & {"stop_after"})
+    if results.colour and unused:
+        options = ", ".join(map(opt.dashed, sorted(unused)))
+        raise ValueError(f"--colour does not go with {options}: it needs the outlines only")
     drawing = beside() if "pigments" in _stages(results) else nullcontext(here)
     if results.batch is not None:
         from irisjax.cli.clones import clone_many

@@ -224,6 +224,7 @@ WRONG = {
     "grey.png --batch .": "give the PHOTO of an eye, or --batch with a folder",
     "grey.png --resume": "--resume means something only with --batch",
     "grey.png --colour --stop-after pose": "--colour does not go with --stop-after",
+    "grey.png --colour --beta 0.3 --light 9,9 --seed 1": "--colour does not go with --beta, --light:",
     "--batch nowhere": "nowhere: no photographs there",
     "--batch . --limbus 9,9,4,4,0": "--batch does not go with --limbus",
 }
