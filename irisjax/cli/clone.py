@@ -354,7 +354,8 @@ def report(
     if eyes > 1 or (right - left) * (bottom - top) < _SMALL_PART * rows * columns:
         which = f"of {eyes} eyes the one" if eyes > 1 else "the eye"
         other = " (--eye takes another)" if eyes > 1 else ""
-        print(f"{which} in columns {left} to {right}, rows {top} to {bottom} is cloned{other}")
+        done = "cloned" if isinstance(found, cloning.Fitted) else "looked at"
+        print(f"{which} in columns {left} to {right}, rows {top} to {bottom} is {done}{other}")
     for doubt in doubts:
         opt.notice(f"WARNING: {doubt.sentence}")
     if isinstance(found, cloning.Posed):

@@ -322,12 +322,13 @@ def test_colours_of_an_eye_and_of_a_folder(irisjax, tmp_path, photo, truth, monk
         Ellipse(tuple(e["centre_px"]), tuple(e["semi_axes_px"]), e["angle"])
         for e in (truth["limbus"], truth["pupil"])
     )
-    known = Boundaries(limbus, pupil, 0.9, 0.9)
+    known = Boundaries(limbus, pupil, 0.9, 0.9, eyes=2)
     monkeypatch.setattr(cloning, "outline_eye", lambda p, given: cloning.Outlined(p, known))
     status, out, err = irisjax("clone", photo, "--colour", "-o", tmp_path / "one")
     assert (status, _files(tmp_path / "one")) == (0, {"colour.json", "colour.png", "outlines.png"})
     assert "ciliary ring (45 to 90 % of the way from pupil to limbus, " in out, err
     assert "the pupillary ring differs from the ciliary ring by L* +" in out
+    assert "rows 0 to 134 is looked at (--eye takes another)" in out  # nothing is cloned
     found = json.loads((tmp_path / "one" / "colour.json").read_text())
     ring = found["regions"]["ciliary ring"]
     assert all(low < x < high for low, x, high in zip(*(ring[n] for n in ENDS), strict=True))
