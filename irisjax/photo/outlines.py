@@ -120,7 +120,7 @@ def find_boundaries(
         ValueError: If nothing resembles an iris, a given outline lies outside the picture, or it
             does not show that many eyes.
     """
-    if not (eye in (None, "left", "right") or eye.isdecimal()):
+    if not (eye in (None, "left", "right") or (eye.isdecimal() and int(eye))):
         raise ValueError(f"--eye {eye}: write left, right or a number from 1")
     for name, outline in (("limbus", limbus), ("pupil", pupil)):
         if outline is not None and not _is_inside(outline, photo.shape):

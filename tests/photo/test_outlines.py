@@ -245,6 +245,7 @@ def test_pictures_without_a_whole_eye_get_low_confidence(pixels):
             r"middle of the limbus given, \(900, 20\), is outside .* 80 x 60",
         ),
         (0.5, {"eye": "upper"}, "left, right or a number"),
+        (0.5, {"eye": "0"}, "--eye 0: write left, right or a number from 1"),
     ],
 )
 def test_refusals(level, known, message):
