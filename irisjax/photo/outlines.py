@@ -44,6 +44,7 @@ _CENTRE_SD = 0.07  # standard deviation of the pupil's middle in either directio
 _ROUGH_CENTRE_SD = 0.15  # the same for limbi that are not yet known well
 _NARROW = 0.16  # width of a highlight that is removed from a pupil, limbus radii
 _PUPIL_DARK = 0.3  # brightness below which what is beside a highlight is pupil, in ceilings
+_FLATTEST = 0.4  # semi-axes' ratio of outlines that are taken: a tilt of 66 degrees
 _UPWARDS = 0.05  # its mean, above the limbus's middle
 _WARMER = 0.5  # by how much redder the white of one side may be than that of the other
 
@@ -117,18 +118,30 @@ def find_boundaries(
             from 1, counted from the left; `None` takes the one with the most evidence.
 
     Raises:
-        ValueError: If nothing resembles an iris, a given outline lies outside the picture, or it
-            does not show that many eyes.
+        ValueError: If nothing resembles an iris, a given outline lies outside the picture or is too
+            flat, a given pupil is not within a given limbus, or there are not that many eyes.
     """
     if not (eye in (None, "left", "right") or (eye.isdecimal() and int(eye))):
         raise ValueError(f"--eye {eye}: write left, right or a number from 1")
     for name, outline in (("limbus", limbus), ("pupil", pupil)):
-        if outline is not None and not _is_inside(outline, photo.shape):
+        if outline is None:
+            continue
+        if not _is_inside(outline, photo.shape):
             rows, columns = photo.shape
             raise ValueError(
                 f"{photo.name}: the middle of the {name} given, {outline.centre}, is outside the "
                 f"picture of {columns} x {rows} pixels"
             )
+        if outline.semi_axes[1] < _FLATTEST * outline.semi_axes[0]:
+            raise ValueError(
+                f"{photo.name}: the {name} given is too flat for an eye: its semi-axes are "
+                f"{' and '.join(f'{v:g}' for v in outline.semi_axes)} pixels, and the smaller one "
+                f"must be at least {_FLATTEST} of the larger"
+            )
+    if limbus and pupil and (limbus.relative_radius(*pupil.points(RAYS).T) >= 1).any():
+        raise ValueError(
+            f"{photo.name}: the pupil given reaches outside the limbus given; it must lie within it"
+        )
     fit, inner = (None if e is None else FittedEllipse(e, 1.0) for e in (limbus, pupil))
     if fit and inner:
         margin = refine_pupil(photo, fit, inner).margin

@@ -244,6 +244,17 @@ def test_pictures_without_a_whole_eye_get_low_confidence(pixels):
             {"limbus": Ellipse((900, 20), (80, 80))},
             r"middle of the limbus given, \(900, 20\), is outside .* 80 x 60",
         ),
+        (
+            0.5,
+            {"limbus": Ellipse((10, 10), (5000, 20))},
+            r"limbus given is too flat .* are 5000 and 20 pixels, .* at least 0\.4 of",
+        ),
+        (0.5, {"pupil": Ellipse((10, 10), (50, 19))}, r"pupil given is too flat"),
+        (
+            0.5,
+            {"limbus": Ellipse((30, 30), (20, 20)), "pupil": Ellipse((20, 30), (10, 10))},
+            r"^even\.png: the pupil given reaches outside the limbus given",
+        ),
         (0.5, {"eye": "upper"}, "left, right or a number"),
         (0.5, {"eye": "0"}, "--eye 0: write left, right or a number from 1"),
     ],
