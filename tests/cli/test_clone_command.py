@@ -340,6 +340,7 @@ def test_colours_of_an_eye_and_of_a_folder(irisjax, tmp_path, photo, truth, monk
         rows = {row["file"]: row for row in csv.DictReader(file)}
     assert rows["a.png"]["status"] == "ok" and "not a picture" in rows["a.jpg"]["doubts"]
     assert "the photograph has no colours; look at" in rows["grey.png"]["doubts"]
+    assert _files(folder / "grey") == {"outlines.png"}
     assert float(rows["a.png"]["ciliary_ring_L"]) == pytest.approx(ring["lab"][0], rel=1e-4)
     assert float(rows["a.png"]["limbus_confidence"]) > 0.5 and rows["a.png"]["dominant_1_b_low"]
     with Image.open(folder / "contact_sheet.jpg") as sheet:
