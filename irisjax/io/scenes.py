@@ -194,7 +194,8 @@ class SceneFile:
         if entry is None:
             return {}
         if ("file" in entry) == ("kind" in entry):
-            raise ValueError("needs file or kind")
+            both = "give file or kind, not both"
+            raise ValueError(both if "file" in entry else "needs file or kind")
         if "file" in entry:
             sky = self._read(read_environment, "environment", entry["file"])
         else:

@@ -122,6 +122,7 @@ WRONG = {
     "[[light]]\nposition = [1, 2, 3]": "scene.toml, line 1: light: a lamp's distance = 3.74166 mm is outside [20, inf) mm",
     "[[light]]\nposition = [1, 2, -300]\npolar_deg = 1": "give a light a position or angles, not both",
     "[environment]\nlights = 3": "scene.toml, line 1: environment: needs file or kind",
+    "[environment]\nfile = 'a.exr'\nkind = 'sky'": "environment: give file or kind, not both",
     "[environment]\nfile = 'missing.exr'": "scene.toml, line 2: missing.exr: No such file",
     "[iris\nlevel = 1": "scene.toml: ",
     "iris = 3": "iris must be written [iris]",
