@@ -10,14 +10,14 @@ import tomlkit
 
 from irisjax.anatomy.eye import EYE_LIMITS, Eye
 from irisjax.io.images import read_image
-from irisjax.io.sections import EntryCheck, Keys, check_sections, toml_of
+from irisjax.io.sections import Keys, check_sections, toml_of
 from irisjax.io.tables import naming
 from irisjax.io.text import read_columns, read_text
 from irisjax.numerics.checks import Range
 from irisjax.ocularist.coats import HEIGHT, PUPIL_RADIUS, prosthesis
 from irisjax.ocularist.components import COMPONENTS
 from irisjax.ocularist.kubelka_munk import COEFFICIENT, KubelkaMunkMixer
-from irisjax.ocularist.mixing import AbstractMixer, HslMixer, linear_colour
+from irisjax.ocularist.mixing import NO_COLOUR, AbstractMixer, HslMixer, linear_colour
 from irisjax.ocularist.painting import SCAN
 from irisjax.ocularist.recipes import CoatRecipe
 
@@ -175,12 +175,12 @@ def _paired_columns(columns: Sequence[str]) -> dict[str, tuple[int, int]]:
     return {p: (names.index(f"{p}_K"), names.index(f"{p}_S")) for p in paints}
 
 
-def _colour(name: str) -> EntryCheck:
-    def check(value: Any) -> Any:
-        linear_colour(name, value)
-        return value
-
-    return check
+def _colour(value: Any) -> Any:
+    try:
+        linear_colour("", value)
+    except ValueError:
+        raise ValueError(NO_COLOUR) from None
+    return value
 
 
 def _pair(value: Any) -> tuple[str, str]:
@@ -194,7 +194,7 @@ def _pair(value: Any) -> tuple[str, str]:
 _NO_USE = f'a file of paints is for mixing = "{_KUBELKA_MUNK}"; {_HSL} mixes colours alone'
 _SECTIONS: dict[str, Keys] = {
     "painting": {"mixing": MIXING, "paints": str, "pupil_radius": EYE_LIMITS["pupil_radius"]},
-    "palette": _colour,
+    "palette": lambda name: _colour,
     "coat": {
         "component": (*COMPONENTS, SCAN),
         "parameters": dict,

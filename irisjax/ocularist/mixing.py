@@ -50,6 +50,8 @@ FURTHER_PAINTS = {"raw sienna": "#8b5f2f", "raw umber": "#322b26"}
 _SHARE = Range(0.0, 1.0, meaning="share of the second paint in a mixture")
 _REFLECTANCE = Range(0.0, 1.0)
 _STEP = Range(0.0, 255.0)
+NO_COLOUR = f"is no colour; need '#rrggbb' or three numbers in {_STEP}"
+"""Message about what `linear_colour` cannot take."""
 _ROUNDING = 1e-6  # of encoded values and of hues in single precision
 
 
@@ -183,9 +185,7 @@ def linear_colour(name: str, colour: object) -> np.ndarray:
     three = isinstance(steps, Sequence | np.ndarray) and len(steps) == 3
     numbers = three and all(isinstance(s, int | float | np.number) for s in steps)
     if not numbers or any(isinstance(s, bool) or not _STEP.holds(s) for s in steps):
-        raise ValueError(
-            f"paint {name!r}: {colour!r} is no colour; need '#rrggbb' or three numbers in {_STEP}"
-        )
+        raise ValueError(f"paint {name!r}: {colour!r} {NO_COLOUR}")
     return np.asarray(srgb_decode(np.asarray(steps, np.float64) / 255), np.float64)
 
 

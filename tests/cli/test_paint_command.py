@@ -203,7 +203,10 @@ def test_a_type_of_eye_has_the_papers_number_of_coats(done, tmp_path, undrawn, m
         (f'[painting]\nmixing = "oil"\n{BASE}', ["line 2", "mixing", "kubelka-munk"]),
         (OWN_PAINTS + BASE, ["line 3", "a file of paints", "kubelka-munk"]),
         ("[coat]\n", ["line 1", "[[coat]]"]),
-        (PALETTE + BASE.replace("ultramarine", "sky"), ["sky", "#rrggbb"]),
+        (
+            PALETTE + BASE.replace("ultramarine", "sky"),
+            ["palette.sky = 'blue' is no colour; need '#rrggbb'"],
+        ),
         (REECH, ["coat 1", "reech", "did you mean 'reach'"]),
     ],
 )
