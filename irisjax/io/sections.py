@@ -108,7 +108,10 @@ def listed(form: str, allowed: EntryCheck) -> Callable[[Any], tuple[Any, ...]]:
     def check(value: Any) -> tuple[Any, ...]:
         if not (isinstance(value, list) and len(value) == form.count(",") + 1):
             raise ValueError(f"must be {form}")
-        return tuple(checked(entry, allowed) for entry in value)
+        try:
+            return tuple(checked(entry, allowed) for entry in value)
+        except ValueError as error:
+            raise ValueError(f"{error}, for each of the {len(value)} numbers of {form}") from None
 
     return check
 

@@ -114,7 +114,7 @@ WRONG = {
     "[maps]\n\nseed = 1.5": "scene.toml, line 3: maps.seed = 1.5 must be a whole number in [0, 4294967295]",
     "[maps]\nuniform = 1": "scene.toml, line 2: maps.uniform = 1 must be true or false",
     '[picture]\nilluminant = "D56"': "scene.toml, line 2: picture.illuminant = 'D56' unknown illuminant 'D56'; known: A",
-    "[camera]\nsize = [0, 5]": "scene.toml, line 2: camera.size = [0, 5] must be a whole number in [1, 16384]",
+    "[camera]\nsize = [0, 5]": "scene.toml, line 2: camera.size = [0, 5] must be a whole number in [1, 16384], for each of the 2 numbers of [width, height]",
     "[camera]\nsize = '8x6'": "scene.toml, line 2: camera.size = '8x6' must be [width, height]",
     "[light]\npolar_deg = 3": "scene.toml, line 1: light must be written [[light]]",
     "[[camera]]\nwidth = 3": "scene.toml, line 1: camera must be written [camera]",
