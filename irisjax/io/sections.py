@@ -46,7 +46,12 @@ def check_sections(
     try:
         sections = tomllib.loads(written)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        reason = "nested too deeply" if isinstance(error, RecursionError) else error
+        reason = "nested too deeply" if isinstance(error, RecursionError) else str(error)
+        if reason.startswith(("Cannot", "Duplicate")):
+            at = re.search(r"at line (\d+)", reason)
+            line = at[1] if at else written.rstrip().count("\n") + 1
+            reason = f"{name}, line {line}: a key or section is written twice; keep one of them"
+            raise ValueError(reason) from None
         raise ValueError(f"{name}: {reason}") from None
 
     def where(section: str, key: str | None = None, nth: int = 0) -> str:

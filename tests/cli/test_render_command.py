@@ -124,6 +124,8 @@ WRONG = {
     "[environment]\nlights = 3": "scene.toml, line 1: environment: needs file or kind",
     "[environment]\nfile = 'a.exr'\nkind = 'sky'": "environment: give file or kind, not both",
     "[environment]\nfile = 'missing.exr'": "scene.toml, line 2: missing.exr: No such file",
+    "[camera]\nwidth = 9\nwidth = 8": "scene.toml, line 3: a key or section is written twice; keep one",
+    "[maps]\nseed = 1\n[maps]": "scene.toml, line 3: a key or section is written twice; keep one",
     "[iris\nlevel = 1": "scene.toml: ",
     "iris = 3": "iris must be written [iris]",
     "iris = " + 2000 * "[": "scene.toml: nested too deeply",
