@@ -171,7 +171,7 @@ class SceneFile:
     def _lights(self) -> dict[str, Any]:
         illuminant = self._of("picture").get("illuminant", "D65")
         lights = None
-        for lamp in self.sections.get("light", []):
+        for nth, lamp in enumerate(self.sections.get("light", [])):
             radius, power = lamp.get("radius_deg", 1.7), lamp.get("irradiance", math.pi)
             options = dict(irradiance=power, illuminant=illuminant, radius=math.radians(radius))
             if "position" not in lamp:
@@ -180,7 +180,12 @@ class SceneFile:
             elif lamp.keys() & {"polar_deg", "azimuth_deg"}:
                 raise ValueError("give a light a position or angles, not both")
             else:
-                one = Lights.points(lamp["position"], **options)
+                try:
+                    one = Lights.points(lamp["position"], **options)
+                except ValueError as error:
+                    place, entry = (self.where("light", key, nth) for key in (None, "position"))
+                    message = f"{place}: light: {error}; change its position ({entry})"
+                    raise _SceneError(message) from None
             if "colour" in lamp:
                 tint = jnp.asarray([lamp["colour"]], one.towards.dtype)
                 one = dataclasses.replace(one, tint=tint)

@@ -120,6 +120,7 @@ WRONG = {
     "[[camera]]\nwidth = 3": "scene.toml, line 1: camera must be written [camera]",
     "[[light]]\n[[light]]\npolar_deg = 200": "scene.toml, line 3: light.polar_deg = 200 must be a number in [0, 180]",
     "[[light]]\nposition = [1, 2, 3]": "scene.toml, line 1: light: a lamp's distance = 3.74166 mm is outside [20, inf) mm",
+    "[[light]]\n[[light]]\nposition = [0, 0, 5]": "line 2: light: a lamp's distance = 5 mm is outside [20, inf) mm; change its position (scene.toml, line 3)",
     "[[light]]\nposition = [1, 2, -300]\npolar_deg = 1": "give a light a position or angles, not both",
     "[environment]\nlights = 3": "scene.toml, line 1: environment: needs file or kind",
     "[environment]\nfile = 'a.exr'\nkind = 'sky'": "environment: give file or kind, not both",
