@@ -60,7 +60,16 @@ class Recipe(NamedTuple):
 
     def scans(self) -> dict[str, np.ndarray]:
         """Pictures of the coats that are scans, by the names of their files."""
-        return {f: read_image(self.folder / f).pixels for f in sorted(self.scan_files())}
+        pictures: dict[str, np.ndarray] = {}
+        for number, coat in enumerate(self.coats, 1):
+            for file in self._replace(coats=(coat,)).scan_files() - pictures.keys():
+                try:
+                    pictures[file] = read_image(self.folder / file).pixels
+                except (OSError, ValueError) as error:
+                    path = self.folder / file
+                    reason = f"{path}: {error.strerror}" if isinstance(error, OSError) else error
+                    raise ValueError(f"coat {number} ({SCAN}): {reason}") from None
+        return pictures
 
     def scan_files(self) -> set[str]:
         """Names of these files as in the recipe, without entries that are no names."""

@@ -198,7 +198,10 @@ def test_a_type_of_eye_has_the_papers_number_of_coats(done, tmp_path, undrawn, m
         (BASE.replace("base", "scan"), ["coat 1", "file"]),
         (SCAN + '{ file = ["a.png"] }', ["coat 1 (scan)", 'file = "coat.png"', "['a.png']"]),
         (SCAN + '{ flie = "a.png" }', ["coat 1 (scan)", "flie", "did you mean 'file'"]),
-        (SCAN + '{ file = "none.png" }', ["none.png", "No such file"]),
+        (
+            SCAN + '{ file = "none.png" }',
+            ["recipe.toml: coat 1 (scan): ", "none.png: No such file"],
+        ),
         (BASE + "height = 2\n", ["line 4", "coat.height = 2", "[0, 1] mm"]),
         (f'[painting]\nmixing = "oil"\n{BASE}', ["line 2", "mixing", "kubelka-munk"]),
         (OWN_PAINTS + BASE, ["line 3", "a file of paints", "kubelka-munk"]),
