@@ -117,7 +117,7 @@ def _check(spec: "OpenImageIO.ImageSpec") -> None:
 def _check_size(rows: int, columns: int) -> None:
     size = f"{columns} × {rows} pixels"
     if rows * columns > MOST_PIXELS:
-        raise ValueError(f"{size} are more than {MOST_PIXELS / 1e6:.0f} million")
+        raise ValueError(f"{size} are more than {MOST_PIXELS / 1e6:.0f} million; make it smaller")
     if min(rows, columns) < LEAST_SIDE:
         raise ValueError(f"{size}; a photograph has at least {LEAST_SIDE} along each side")
 

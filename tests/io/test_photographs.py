@@ -169,7 +169,7 @@ SPOT = np.arange(LIT.size).reshape(LIT.shape) == 500
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda p: claiming(p / "p.jpg", 20000, 20000), r"20000 × 20000 pixels are more than 100 million"),
+        (lambda p: claiming(p / "p.jpg", 20000, 20000), r"20000 × 20000 pixels are more than 100 million; make it smaller"),
         (lambda p: truncated(p / "p.tif", 0.0), "not a picture that can be read"),
         (lambda p: truncated(p / "p.tif", 0.005), "not a picture that can be read"),
         (lambda p: truncated(p / "p.tif", 0.9), "the picture is broken"),
