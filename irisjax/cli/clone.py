@@ -209,6 +209,8 @@ def clone_command(
         with drawing as draw:
             raise typer.Exit(clone_many(results.batch, picture, model, results, draw, workers))
     assert picture.photograph is not None
+    if picture.photograph.is_dir():
+        raise ValueError(f"{picture.photograph}: is a folder; --batch clones all photographs in it")
     contents = "an eye's colours" if results.colour else "a clone"
     check_folder(results.output, results.summary, contents, results.overwrite)
     with drawing as draw:

@@ -64,6 +64,8 @@ def fit_command(
     spectrum_arguments = measured.spectrum_arguments
     observations, headers, covariance = [], [], spectrum_arguments["covariance"]
     for path in spectra:
+        if path.is_dir():
+            raise ValueError(f"{path}: is a folder; --batch fits all spectra in it")
         table = io.read_measured(path, **measured.reading_options)
         for remark in (*table.notes, *(f"WARNING: {doubt}" for doubt in table.doubts)):
             notice(f"{path}: {remark}")

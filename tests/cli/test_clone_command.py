@@ -221,6 +221,7 @@ WRONG = {
     "grey.png -o words.jpg/inside": "words.jpg: is a file, not a folder",
     "grey.png": "grey.png: no iris found; give --limbus",
     "": "give the PHOTO of an eye, or --batch with a folder of photographs",
+    ".": ".: is a folder; --batch clones all photographs in it",
     "grey.png --batch .": "give the PHOTO of an eye, or --batch with a folder",
     "grey.png --resume": "--resume means something only with --batch",
     "grey.png --colour --stop-after pose": "--colour does not go with --stop-after",

@@ -267,6 +267,7 @@ def test_short_chains_end_with_status_three(irisjax, eye, sampled, monkeypatch):
         (("{eye}", "{eye}", "--separate", "abl_thickness"), "is not free"),
         (("{eye}", "--separate", "melanin_load"), "--separate needs two or more spectra"),
         (("missing.csv",), "missing.csv: No such file"),
+        ((".",), ".: is a folder; --batch fits all spectra in it"),
         (("{eye}", "--free", "melanin"), "--free: unknown parameter 'melanin'"),
         (("{eye}", "--fix", "gain"), "--fix: 'gain': write NAME=VALUE"),
         (("{eye}", "--fix", "gain=-1"), "gain = -1 is outside (0, 1e+06]"),
