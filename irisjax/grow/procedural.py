@@ -32,7 +32,7 @@ from irisjax.grow.noise import (
     noise_fields,
     split_seed,
 )
-from irisjax.numerics.checks import Range, check_range
+from irisjax.numerics.checks import Range, check_range, is_known
 from irisjax.numerics.interpolation import smoothstep
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, cell_centres
@@ -61,6 +61,8 @@ FIBRES = (
 """Nets of fibres, coarse ones first: numbers of meshes round the iris and along the radius, width
 of the fibres relative to a mesh, and their height.
 """
+NARROWEST = 0.1
+"""Least distance of pupil and root, mm: in narrower rings the relief exceeds a millimetre."""
 MOST_CRYPTS = 53  # crypts, at which all wide cells near the collarette are open
 FIBRE_SPACING = 0.045  # mm between neighbouring fibres, below which they are not drawn
 _Radius = TypeVar("_Radius", Array, np.ndarray)
@@ -127,7 +129,8 @@ def procedural(
         `abl_depth`, `freckles`, `eumelanin` and `pheomelanin`, the last two with area means of 1.
 
     Raises:
-        ValueError: A feature is negative, or the shape is below (16, 8).
+        ValueError: A feature is negative, the shape is below (16, 8), or the ring is narrower than
+            `NARROWEST`.
     """
     arguments, others = locals(), ("iris", "eye", "shape", "profile", "key")
     features = {name: value for name, value in arguments.items() if name not in others}
@@ -136,6 +139,12 @@ def procedural(
     if shape[0] < 16 or shape[1] < 8:
         raise ValueError(f"shape {shape} is below (16, 8)")
     eye = Eye() if eye is None else eye
+    pupil, root = eye.pupil_radius, eye.iris_radius
+    if is_known(pupil, root) and round(float(root - pupil), 5) < NARROWEST:
+        raise ValueError(
+            f"pupil_radius = {float(pupil):g} mm must be at least {NARROWEST:g} mm below "
+            f"iris_radius = {float(root):g} mm where maps are grown"
+        )
     # Amounts are arrays, so that irides of all colours grow by one compiled program.
     counts = "crypts", "furrows", "freckles"
     amounts = {k: jnp.asarray(v, None if k in counts else float) for k, v in features.items()}

@@ -183,6 +183,9 @@ def test_errors():
         preset("red", key=KEY)
     with pytest.raises(ValueError, match="crypts = -1 is outside"):
         procedural(ij.Iris(), crypts=-1, key=KEY)
+    narrow = r"pupil_radius = 4\.7 mm must be at least 0\.1 mm below iris_radius = 4\.75 mm"
+    with pytest.raises(ValueError, match=narrow):
+        grown(ij.Eye(pupil_radius=4.7, iris_radius=4.75))
     with pytest.raises(ValueError, match=r"shape \(8, 8\) is below"):
         procedural(ij.Iris(), shape=(8, 8), key=KEY)
 
