@@ -56,6 +56,8 @@ def clone_many(
     before = {name for name, row in table.rows.items() if row["status"] != FAILED}
     cloned = [name for name in table.order if name in photographs or name in before]
     names = _folder_names(table.order) | _folder_names(cloned)
+    for name in before - photographs.keys():  # by what was beside it in its own run
+        names[name] = name if (results.output / name).exists() else Path(name).stem
     folders = {name: results.output / folder for name, folder in names.items()}
     table.redo(lambda row: (folders[row["file"]] / results.summary).exists())
     # A process that draws figures cannot be handed to other workers.
