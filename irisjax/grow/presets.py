@@ -49,7 +49,7 @@ _FEATURES: dict[str, dict[str, Any]] = {
     "blue": {"crypts": 9, "patches": 0.7, "furrows": 2, "looseness": 0.3, "clouds": 0.8},
     "grey": {"crypts": 13, "patches": 0.8, "looseness": 0.8, "clouds": 0.7},
     "green": {"crypts": 10, "patches": 0.4, "amber": 1.5, "heterochromia": 2.0, "abl": 0.5},
-    "hazel": {"crypts": 10, "patches": 0.8, "heterochromia": 2.5, "abl": 0.4, "freckles": 4},
+    "hazel": {"crypts": 10, "patches": 0.8, "heterochromia": 2.5, "abl": 0.4, "freckles": 2},
     "amber": {"crypts": 8, "patches": 1.2, "amber": 1.0, "heterochromia": 0.5, "abl": 0.3}
     | {"fibres": 0.8, "clouds": 0.6},
     "brown": {"crypts": 7, "patches": 1.2, "amber": 0.3, "furrows": 6} | _BROWN,
@@ -107,7 +107,7 @@ def preset(
     fields |= {"saturation": _SATURATION, "stroma_thickness": thickness}
     iris = Iris().replace(**fields).replace(**dict(pigments or {}))
     # A share of the thickness, so that the relief is as high in a thicker stroma.
-    arguments: dict[str, Any] = {"relief": 0.08 * usual / thickness, "margins": 0.6}
+    arguments: dict[str, Any] = {"relief": 0.12 * usual / thickness, "margins": 0.6}
     arguments |= _FEATURES.get(colour, {}) | dict(features or {})
     # Presets of one key have patterns of their own.
     key = jax.random.fold_in(key, list(_PIGMENTS).index(colour))

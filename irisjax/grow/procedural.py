@@ -52,11 +52,11 @@ BUNDLE_CELLS = (53, 4, 1.0), (139, 4, 0.0)
 radius, and whether they are wide.
 """
 FIBRES = (
-    (53, 2, 0.1, 0.8),
-    (83, 3, 0.14, 0.8),
-    (127, 4, 0.2, 0.8),
-    (191, 7, 0.28, 0.8),
-    (307, 11, 0.35, 0.7),
+    (53, 2, 0.1, 1.2),
+    (83, 4, 0.14, 1.2),
+    (127, 5, 0.2, 1.2),
+    (191, 9, 0.28, 1.2),
+    (307, 14, 0.35, 1.1),
 )
 """Nets of fibres, coarse ones first: numbers of meshes round the iris and along the radius, width
 of the fibres relative to a mesh, and their height.
@@ -201,6 +201,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     streak, gap, sector, tuft = streaks
     cords, mesh = (_defocus(field, focus) for field in (cords, mesh))
     outside = smoothstep((ragged_radius - ring) / 0.2 + 0.5)
+    soft_radius = 0.7 * radius + 0.3 * ragged_radius + 0.08 * mist
     # Between the cords of the pupillary zone lie slits, which narrow outwards.
     taper = jnp.maximum(1 - radius / (ring * (1.1 + 0.9 * mist)), 0.0)
     slit = jnp.exp(-((4 * gap) ** 2) / (taper + 1e-3)) * smoothstep(6 * taper)
@@ -208,16 +209,18 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     root = jnp.exp(-((3 * arc) ** 2)) * smoothstep((radius - 0.6) / 0.3)
     opening = opening * smoothstep((0.75 - cords) / 0.4)  # cords bridge an opening
     opening *= jnp.minimum(1.0, 1.3 / compression)  # a wide pupil closes them
-    contrast = amounts["fibres"] * (0.5 + 0.5 * focus)
+    crests, pupillary = _collarette(wreath, turns, ragged_radius, ring)
+    contrast = amounts["fibres"] * (0.5 + 0.5 * focus + 0.5 * amounts["collarette"] * crests)
     # Logarithms of the stroma's thickness: `surface` rises towards the cornea, `inner` lies below.
-    inner = contrast * ((3.2 + opening) * mesh + 2.4 * cords + 1.6 * wool + streak + 0.4 * root)
+    inner = contrast * (
+        (1.0 + opening) * mesh + 1.2 * cords + 0.8 * wool + 0.3 * streak + 0.4 * root
+    )
     frame = 4 * opening * (1 - opening)  # a crypt's rim
-    upper = (1.5 + 1.5 * outside) * cords + 0.8 * outside * looseness * (bundle - 0.3)
+    upper = (1.8 + 1.6 * outside) * cords + 2.0 * mesh + 0.8 * outside * looseness * (bundle - 0.3)
     surface = contrast * upper
     clouds = 0.8 * cloud + 0.6 * wide + 0.8 * mist + 1.3 * sector + 1.7 * tuft
-    surface += amounts["clouds"] * clouds * (0.4 + 0.6 * outside)
-    crests, pupillary = _collarette(wreath, turns, ragged_radius, ring)
-    surface += amounts["collarette"] * (0.6 * crests - 0.3 * pupillary)
+    surface += 0.8 * amounts["clouds"] * clouds * (0.4 + 0.6 * outside)
+    surface += amounts["collarette"] * (1.1 * crests - 0.3 * pupillary)
     surface -= 0.5 * opening + 0.4 * contrast * slit
     seam = _pupillary_ruff(wreath, turns, radius / compression)
     rim = jnp.where(amounts["ruff"] > 0, seam, 0.0)
@@ -233,20 +236,20 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     abl = jnp.log(thickening) + amounts["abl"] * mottling
     abl = _limit_range(abl, distance, mean_abl, ABL)
     # Texels cannot resolve finer slopes, and the tissue would look carved.
-    height = mean_stroma * _soften(jnp.tanh(0.7 * surface) / 0.7, 3)
+    height = mean_stroma * _soften(jnp.tanh(0.7 * surface) / 0.7, 2)
     height += jnp.where(amounts["abl"] > 0, abl - mean_abl, 0.0)
     reach = ring + 0.14 + 0.25 * cloud + 0.15 * wide + 0.1 * streak + 0.1 * cords
-    zone = smoothstep((reach - ragged_radius) / 0.5 + 0.5)
+    zone = smoothstep((reach - soft_radius) / 0.5 + 0.5)
     eumelanin = jnp.log1p(amounts["heterochromia"] * zone * (1 + 0.7 * mist))
     dark = 1.2 * cloud + 0.8 * jnp.tanh(4 * wide) + 0.9 * mist + 0.5 * wool + 0.2 * streak
     thinness = jnp.mean(stroma) - stroma
     dark += 0.7 * thinness - 0.6 * (tuft + sector)
-    dark += 1.6 * edge + 2.0 * rim + 1.5 * (opening + slit)
+    dark += 1.6 * edge + 2.0 * rim + 0.7 * opening + 1.5 * slit
     dark -= contrast * (0.5 * cords + 0.2 * mesh)
     dark += amounts["collarette"] * (0.6 * pupillary - 0.8 * crests)
     eumelanin += amounts["patches"] * dark
     reach = ring + 0.25 + 0.3 * wide - 0.3 * cloud + 0.1 * streak + 0.1 * cords
-    zone = smoothstep((reach - ragged_radius) / 0.5 + 0.5)
+    zone = smoothstep((reach - soft_radius) / 0.5 + 0.5)
     cloudy = jnp.maximum(1 + 0.8 * mist + 0.4 * cloud, 0.0)
     pheomelanin = jnp.log1p(amounts["amber"] * zone * cloudy)
     pheomelanin += 0.5 * amounts["patches"] * thinness
@@ -333,8 +336,12 @@ def _fibres(
         coarse = across // 2, 2 * along
         bent = turns + 0.6 * freedom / across * noise(bend, turns, radius, coarse, 2)
         moved = radius + 0.4 / along * noise(shift, turns, radius, (across // 2, along), 2)
-        line = jnp.exp(-((noise(mesh, bent, moved, (across, along)) / width) ** 2))
-        line *= 0.35 + 0.65 * smoothstep(0.5 + 1.5 * noise(place, turns, radius, (11, 4), 2))
+        value = noise(mesh, bent, moved, (across, along))
+        # Lines are a texel wide at least, and fainter where they are widened to it.
+        step = (jnp.roll(value, -1, 0) - jnp.roll(value, 1, 0)) / 2
+        wide = jnp.sqrt(width**2 + 2 * step**2)
+        line = width / wide * jnp.exp(-((value / wide) ** 2))
+        line *= 0.2 + 0.9 * smoothstep(0.5 + 1.7 * noise(place, turns, radius, (7, 3), 3))
         line *= 0.6 + 0.4 * noise(run, bent, moved, (across, 3 * along))
         # None are drawn where many would share a pixel.
         return height * smoothstep(capacity / across - 0.3) * line
@@ -364,7 +371,7 @@ def _fibre_bundles(
         border, offset, chance, middle = _cells(layer_seed, turns, radius, across, along)
         # Wide cells are open in a wreath, slits round it, and a few of both out to the root.
         wreath = jnp.exp(-(((middle - ring - 0.12) / 0.16) ** 2))
-        slits = 0.5 * smoothstep((ring + 0.25 - middle) / 0.3) + 0.03
+        slits = 0.5 * smoothstep((ring + 0.25 - middle) / 0.3) + 0.01
         probability = share * (wide * wreath + (1 - wide) * slits)
         probability *= smoothstep(capacity / across - 0.3)  # none where many would share a pixel
         openness = smoothstep(1.5 - chance / jnp.maximum(probability, 1e-6))
