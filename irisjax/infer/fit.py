@@ -39,7 +39,7 @@ class FitStatus(eqx.Enumeration):
     not_converged = "the search did not converge within its steps"
     solver_failed = (
         "least squares or the transport solver failed at the best point found; see `steps` and "
-        "`Problem.status`"
+        "`Problem.evaluated`"
     )
 
 

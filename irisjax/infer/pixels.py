@@ -176,7 +176,7 @@ def predict_pixels(
 def iris_of_pixels(
     values: Mapping[str, Any], base: Iris, good: Bool[np.ndarray, "..."] | None = None
 ) -> Iris:
-    """Return the iris of the medians of all parameters (see `parameters_of_pixels`), those of
+    """Return the iris of the medians of all parameters, those of
     `good` pixels only, and all else as in `base`.
     """
     good = np.ones(np.shape(values["melanin_load"]), bool) if good is None else good

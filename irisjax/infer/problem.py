@@ -128,10 +128,6 @@ class Problem(eqx.Module):
         """Compute the reading of each instrument without noise."""
         return self._solve(self.values(z))[0]
 
-    def status(self, z: _Z) -> RESULTS:
-        """Return the solver's status at z: the first that is not success."""
-        return self._solve(self.values(z))[1]
-
     def pointwise(self, z: _Z) -> Float[Array, " all_data"]:
         """Compute the log likelihood of every value, observations concatenated."""
         models, values = self.predict(z), self.values(z)

@@ -55,11 +55,6 @@ class Lighting(NamedTuple):
     exposure: float | None = None
     burnt_out: bool = False
 
-    @property
-    def wide(self) -> Environment | None:
-        """Wide lights, such as windows and soft boxes, inferred from highlights."""
-        return self.environment if self.room else None
-
     def lights(self) -> Lights:
         """Return all of it but the room, as the lights of a scene."""
         if self.environment is None:

@@ -53,7 +53,7 @@ class Environment(eqx.Module):
                 )
 
     def is_uniform(self) -> bool:
-        """Whether all texels are alike."""
+        """Whether all texels are of one grey."""
         return float(np.ptp(np.asarray(self.radiance))) == 0
 
     @classmethod

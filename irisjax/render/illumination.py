@@ -42,8 +42,8 @@ class Illumination(eqx.Module):
     Attributes:
         flux: Flux vectors over polar angle, rows y and columns x.
         extent: Half the side of the grid, mm.
-        largest: Polar angle that the tables reach, radians; light from beyond fades out over one
-            step of them.
+        largest: Polar angle that the tables reach, radians; light from beyond fades out within
+            0.05.
     """
 
     flux: Float[Array, "polars size size 3"]

@@ -207,15 +207,10 @@ def scale_ranges(iris: Iris | None, maps: IrisMaps | None) -> Scales:
     return Scales() if iris is None else Scales.of(maps, iris).ranges()
 
 
-def sample_scales(pixels: IrisPixels, eye: Eye, textures: Scales) -> Scales:
-    """Look up the scales relative to the uniform iris at pixels."""
-    if not jax.tree.leaves(textures):
-        return textures
-    return sample_textures(pixels, eye, textures)
-
-
 def sample_textures(pixels: IrisPixels, eye: Eye, textures: Any) -> Any:
     """Interpolate textures (angles, radii) at the points that pixels see."""
+    if not jax.tree.leaves(textures):
+        return textures
     place = _map_place(pixels, eye)
     return jax.tree.map(lambda texture: polar_bilinear(texture, *place), textures)
 

@@ -36,7 +36,7 @@ from irisjax.render.polynomials import (
     varying_degrees,
 )
 from irisjax.render.project import IrisPixels
-from irisjax.render.shading import IrisModel, sample_scales, scale_textures
+from irisjax.render.shading import IrisModel, sample_textures, scale_textures
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import Scales, texel_layers
 from irisjax.tissue.pigments import extinction
@@ -215,7 +215,7 @@ def _look_up_texels(
     ranges: Scales,
     directions: AbstractAngularFunctions,
 ) -> TabulatedTexels:
-    coordinates = scales_to_unit(sample_scales(pixels, eye, textures), ranges)
+    coordinates = scales_to_unit(sample_textures(pixels, eye, textures), ranges)
     return coordinates, directions.exit_functions(pixels.cosine)
 
 

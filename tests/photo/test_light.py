@@ -127,7 +127,7 @@ def test_a_wide_highlight_is_a_window_of_its_own_shape():
     x, y = np.meshgrid(np.linspace(-0.6, 0.6, 121), np.linspace(-0.4, 0.4, 81))
     depth = np.sqrt(1 - x**2 - y**2)
     places = x[..., None] * right + y[..., None] * up + depth[..., None] * towards
-    shown = np.asarray(eqx.filter_jit(Environment.lookup)(light.wide, places))[..., 1]
+    shown = np.asarray(eqx.filter_jit(Environment.lookup)(light.environment, places))[..., 1]
     there = panes(places)
     # Texels are 0.02 wide, and edges as soft.
     assert (shown[there] > 0.5 * shown.max()).mean() > 0.9
@@ -148,7 +148,7 @@ def test_a_thin_wide_highlight_beside_a_bright_white_lights_the_eye():
     across, beside = np.abs(column - 100) < 36, (column // 2 == 50) & (row > 39) & (row < 60)
     picture[across & np.isin(row // 2, [20, 23, 26, 29]) | beside] = 1.0  # two pixels thick
     light = _told(picture)
-    assert light.found == 1 and light.wide is not None
+    assert light.found == 1 and light.room
     assert float(light.lights().irradiance.sum()) == pytest.approx(np.pi)
 
 
