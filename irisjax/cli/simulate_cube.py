@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import typer
+from scipy.special import expit, logit
 
 import irisjax as ij
 from irisjax import io
@@ -140,13 +141,12 @@ def _true_maps(iris: ij.Iris, distance: np.ndarray, azimuth: np.ndarray, key: ja
     fields = [
         np.asarray(noise(s, angle / (2 * jnp.pi), jnp.clip(radius, 0, 1), (6, 3), 3)) for s in seeds
     ]
-    odds_of_deoxygenated = (1 / typical["saturation"] - 1) * np.exp(-fields[0])
     parameters = {
         "melanin_load": eumelanin + pheomelanin,
         "abl_fraction": fraction * abl / depth,
         "pheomelanin_share": pheomelanin / (eumelanin + pheomelanin),
         "hemoglobin": typical["hemoglobin"] * stroma * np.exp(0.5 * fields[1]),
-        "saturation": 1 / (1 + odds_of_deoxygenated),
+        "saturation": expit(logit(typical["saturation"]) + fields[0]),
         "scattering_scale": typical["scattering_scale"] * stroma,
     }
     return {n: np.broadcast_to(v, distance.shape) for n, v in parameters.items()}

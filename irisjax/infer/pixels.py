@@ -166,7 +166,8 @@ def predict_pixels(
         ValueError: A value lies outside of its prior.
     """
     pairs = dict(zip(problem.free, problem.priors, strict=True))
-    z = np.stack([np.asarray(prior.standard(values[n])) for n, prior in pairs.items()], axis=-1)
+    with np.errstate(divide="ignore"):  # at the ends of a share, which are refused below
+        z = np.stack([np.asarray(prior.standard(values[n])) for n, prior in pairs.items()], axis=-1)
     for i, j in np.argwhere(~np.isfinite(z))[:1]:
         name = problem.free[j]
         raise ValueError(f"{name} = {values[name][i]:g} is outside of its prior {pairs[name]!r}")

@@ -66,6 +66,14 @@ STRIPES[::2] = np.nan
 COUNTS = np.rint(CUBE * 1e4).astype(np.uint16)
 
 
+def test_a_cube_of_oxygenated_blood_alone_is_refused(irisjax, quick, tmp_path):
+    """It was an internal error; the prior of a saturation ends before 1."""
+    given = ("--size", 16, "--process", "ilit-2006", "--saturation", 1)
+    said = "saturation = 1 is outside of its prior"
+    one_line(irisjax("simulate-cube", "-o", tmp_path / "made", *given), said)
+    assert not (tmp_path / "made").exists()
+
+
 def test_figures_of_maps(tmp_path):
     some = np.where(np.eye(4, dtype=bool), np.nan, np.geomspace(0.01, 1, 16).reshape(4, 4))
     figure = maps_figure({"melanin_load": (some, "ug/mm2"), "gain": (some * 0 + 1, "")}, (8, 8))
