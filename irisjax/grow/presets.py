@@ -35,13 +35,13 @@ _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red an iris.
 _THICKNESS = {"hazel": 0.35, "amber": 0.55, "brown": 0.35}
 _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.0344, 0.01, 0.106, 0.207, 7.23), (0.112, 0.00785, 0.0226, 0.142, 14)),
-    "grey": ((0.0806, 0.0327, 0.499, 0.147, 8.98), (0.0395, 0.0564, 0.533, 0.11, 16.2)),
-    "green": ((0.00743, 0.532, 0.98, 0.0138, 15.7), (0.0253, 0.738, 0.98, 0.0279, 25.9)),
-    "hazel": ((0.517, 0.607, 0.667, 0.261, 31.7), (0.194, 1.05, 0.656, 0.133, 34.2)),
-    "amber": ((0.0676, 0.838, 0.538, 0.137, 36.8), (0.047, 0.916, 0.553, 0.0595, 33.2)),
-    "brown": ((0.342, 1.08, 0.809, 0.311, 38.4), (0.436, 0.725, 0.68, 0.234, 36.5)),
-    "dark-brown": ((1.14, 0.23, 0.461, 0.281, 30.8), (0.614, 0.462, 0.668, 0.174, 36.1)),
+    "blue": ((0.0467, 0.0046, 0.195, 0.202, 7.62), (0.115, 0.0075, 0.022, 0.138, 14.5)),
+    "grey": ((0.0889, 0.0323, 0.515, 0.139, 9.39), (0.0493, 0.0712, 0.65, 0.101, 16.9)),
+    "green": ((0.00655, 0.564, 0.98, 0.0114, 14.8), (0.0241, 0.765, 0.98, 0.0243, 25.8)),
+    "hazel": ((0.482, 0.667, 0.658, 0.254, 30.9), (0.273, 0.774, 0.555, 0.163, 31.7)),
+    "amber": ((0.0711, 0.768, 0.551, 0.16, 38.4), (0.047, 0.893, 0.589, 0.0581, 34.1)),
+    "brown": ((0.302, 1.26, 0.768, 0.307, 37.9), (0.331, 0.883, 0.731, 0.212, 34.8)),
+    "dark-brown": ((1.09, 0.25, 0.466, 0.288, 31.1), (0.512, 0.384, 0.809, 0.181, 34.3)),
 }
 # Thicker stroma is darker in brown irides, so that their fibres show less.
 _BROWN = {"fibres": 0.6, "clouds": 0.5, "collarette": 0.5}
@@ -74,12 +74,12 @@ def preset(
     them for each process so that a picture in the studio shows the visible iris, through the cornea
     and with the preset's maps, in the colour of photographed irides within one standard deviation
     (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Of all such
-    values it chooses the pigments nearest to usual ones and the weakest scattering: 7 to 38 times
-    LB06's by ILIT and 14 to 37 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
+    values it chooses the pigments nearest to usual ones and the weakest scattering: 8 to 38 times
+    LB06's by ILIT and 15 to 34 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
     other soft tissues have. Hazel, brown and amber also need a stroma of 0.35, 0.35 and 0.55 mm.
     Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
     Exp. Eye Res. 67, 293]. The redness of photographed irides requires more blood than LB06's 0.084
-    mmol/l, at most 0.311, an eighth of pure blood's; its saturation is 0.95, as in the
+    mmol/l, at most 0.307, an eighth of pure blood's; its saturation is 0.95, as in the
     choroid, since a saturation of 0.5 would require twice as much blood. Fibrils have LB06's
     radius, which has the same effect as the strength. Hazel and green eyes are browner near the
     pupil, where their maps add eumelanin.
