@@ -82,7 +82,9 @@ def test_without_a_folder_it_is_printed_only(done, eye, compared, tmp_path, monk
 def test_two_spots_and_settings_reach_the_comparison(irisjax, eye, compared, tmp_path):
     said = ("--compare", "--process", "depth-resolved", "--fix", "abl_fraction=0.5")
     said += ("--discrepancy", "0.02:80")
-    assert irisjax("fit", eye, eye, *said)[0] == 0
+    other = tmp_path / "other.csv"
+    other.write_bytes(eye.read_bytes())
+    assert irisjax("fit", eye, other, *said)[0] == 0
     (problem,) = compared
     assert len(problem.observations) == 2
     assert problem.process == ij.DEPTH_RESOLVED
