@@ -235,7 +235,8 @@ def _fit_chunk(
     for i, (name, measured) in enumerate(zip(chunk, spectra, strict=True)):
         own, others = (jax.tree.map(lambda x, i=i: x[i], fits) for fits in (own_fits, other_fits))
         status, remarks = _judge(problem, own)
-        warnings = [*measured.doubts, *data_warnings(problem), *remarks]
+        said = [line.removeprefix("WARNING: ") for line in data_warnings(problem)]
+        warnings = [*measured.doubts, *said, *remarks]
         comparison = compare_processes(problem, own, other, others)
         if comparison.preferred:
             warnings.append(preference(comparison))

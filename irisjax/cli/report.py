@@ -97,7 +97,8 @@ def _summary(analysis: Analysis) -> str:
         moved, cells = analysis.other.moved.get(row.parameter), [""] * 5
         if moved is not None:
             cells = [other, *(f"{x:.6g}" for x in moved.other), "yes" if moved.differs else "no"]
-        rows.append([row.parameter, row.unit, *(f"{x:.6g}" for x in row[2:]), process, *cells])
+        numbers = ["" if np.isnan(x) else f"{x:.6g}" for x in row[2:]]
+        rows.append([row.parameter, row.unit, *numbers, process, *cells])
     return csv_of([COLUMNS, *rows])
 
 
@@ -207,13 +208,15 @@ def _print(analysis: Analysis, first: list[str], lines: list[str]) -> None:
         "median": [f"{r.median:.4g}" for r in rows],
         "68 %": [f"{r.q16:.3g} to {r.q84:.3g}" for r in rows],
         "95 %": [f"{r.q2_5:.3g} to {r.q97_5:.3g}" for r in rows],
-        "R-hat": [f"{r.rhat:.3f}" for r in rows],
-        "ESS": [f"{r.ess_bulk:.0f}" for r in rows],
+        # A chain that is too short to be judged has neither.
+        "R-hat": ["-" if np.isnan(r.rhat) else f"{r.rhat:.3f}" for r in rows],
+        "ESS": ["-" if np.isnan(r.ess_bulk) else f"{r.ess_bulk:.0f}" for r in rows],
         "contraction": [f"{r.contraction:.2f}" for r in rows],
     }
+    time = chains.tau.max()
     chain_line = (
         f"{chains.steps} steps, acceptance {chains.acceptance:.2f}, autocorrelation time "
-        f"{chains.tau.max():.0f} steps"
+        f"{'unknown' if np.isnan(time) else f'{time:.0f} steps'}"
     )
     title = f"{subject} by {analysis.problem.process.name}"
     dispensable = ("68 %", "contraction", "unit", "ESS", "R-hat")

@@ -357,6 +357,10 @@ def _sorted(cube: Cube) -> Cube:
     if grid is None or (np.diff(grid) > 0).all():
         return cube
     order = np.argsort(grid, kind="stable")
+    for i in np.flatnonzero(np.diff(grid[order]) == 0)[:1]:
+        raise ValueError(
+            f"has two bands at {grid[order[i]]:g} nm; leave one out (by bbl in an ENVI header)"
+        )
     widths = None if cube.fwhm is None else cube.fwhm[order]
     by: dict[str, Any] = {"wavelengths": grid[order], "fwhm": widths}
     return replace(cube, **by, read=lambda *rows: cube.read(*rows)[..., order])

@@ -253,6 +253,7 @@ def test_short_chains_end_with_status_three(irisjax, eye, sampled, monkeypatch):
     status, out, err = irisjax("fit", eye, *FREE, "--max-steps", 40)
     assert status == 3
     assert "NOT CONVERGED: 40 steps" in out
+    assert "nan" not in out
     # A terminal is told at once what takes so long; without one nothing is said.
     assert err.lstrip("\r").startswith("compiling")
     assert err.index("compiling") < err.index("sampling")

@@ -143,6 +143,7 @@ def test_per_cent_is_stated_or_refused(tmp_path):
         ({"bands": "seven"}, "a.hdr: no ENVI header that can be read"),
         ({"wavelength": listed(GRID[:5])}, "5 wavelengths for 7 bands; there are as many samples"),
         ({"wavelength": listed(GRID[:4])}, "4 wavelengths for 7 bands$"),
+        ({"wavelength": listed(np.minimum(GRID, 620))}, "a.hdr: has two bands at 620 nm"),
         ({"fwhm": listed(GRID[:6])}, "fwhm has 6 entries from 420 for 7 bands; it must be > 0"),
         ({"fwhm": listed(0 * GRID)}, "fwhm has 7 entries from 0 for 7 bands; it must be > 0"),
         ({"bbl": "{1, 0, 1}"}, r"bbl \(good bands\) has 3 entries for 7 bands"),
