@@ -63,7 +63,7 @@ _POINTS = 48
 _STEEPEST = 1.0  # of a tilt's components, radians
 _MARGIN = 1.15  # half the side of the part that is cut out, over the limbus's larger semi-axis
 _STEP = 1e-5  # of finite differences
-_MAX_STEPS = 60  # of the fit; it takes about 5 for outlines that an eye may have
+_MAX_STEPS = 60  # of the fit; it takes 5 to 30 for outlines that an eye may have
 
 
 class Pose(NamedTuple):
@@ -174,7 +174,9 @@ def find_pose(
         middle = (np.array(edge.centre) - limbus.centre) / (_OUTLINE_SD * limbus.semi_axes[0])
         aside = (np.array(inner.centre) - pupil.centre) / (scale * DECENTRED)
         larger = np.log(sizes) / (2 * _OUTLINE_SD)
-        usual = [np.sqrt(2 * _tilt_cost(np.hypot(*v[:2])))]
+        # Two rows for the one cost of the tilt: its root alone has a kink straight ahead.
+        size = max(np.hypot(*v[:2]), 1e-4)
+        usual = np.sqrt(2 * _tilt_cost(size)) / size * v[:2]
         return np.concatenate([*flatter, middle, larger, aside * (azimuth is None), usual])
 
     front = camera_at(np.zeros(2), 2.0, (2, 2))  # with pixels of one millimetre
@@ -204,6 +206,7 @@ def find_pose(
             slopes,
             x_scale=[0.1, 0.1, 0.01, 0.01, 0.01, 0.1],
             bounds=(1 - limit, 1 + limit),
+            ftol=1e-6,  # a millionth of a log likelihood
             max_nfev=_MAX_STEPS,
         )
 

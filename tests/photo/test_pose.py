@@ -143,6 +143,15 @@ def test_a_limbus_flat_as_people_have_it_is_not_tilted():
     assert found.stretched < 0.1
 
 
+def test_a_nearly_frontal_pose_is_found():
+    """The fit bounced at a kink straight ahead until its steps were spent."""
+    limbus = Ellipse((319.131, 318.191), (253.165, 251.850), 0.4417)
+    pupil = Ellipse((319.609, 319.518), (93.543, 91.430), 1.4457)
+    found = find_pose(limbus, pupil, EYE, flattening_sd=(0.00317, 0.00658))
+    assert np.degrees(found.tilt) < 2
+    assert found.pupil_radius == pytest.approx(1.80, abs=0.01)
+
+
 def test_a_stretched_file_is_not_a_tilted_eye_for_sure():
     """By a sixth: limbus and pupil are equally flat, and the pupil is in the middle."""
     found = _measured(*(_stretched(e, 1.16) for e in outlines(EYE, camera_at())))
