@@ -35,24 +35,24 @@ _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red an iris.
 _THICKNESS = {"hazel": 0.35, "amber": 0.55, "brown": 0.35}
 _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.0467, 0.0046, 0.195, 0.202, 7.62), (0.115, 0.0075, 0.022, 0.138, 14.5)),
-    "grey": ((0.0889, 0.0323, 0.515, 0.139, 9.39), (0.0493, 0.0712, 0.65, 0.101, 16.9)),
-    "green": ((0.00655, 0.564, 0.98, 0.0114, 14.8), (0.0241, 0.765, 0.98, 0.0243, 25.8)),
-    "hazel": ((0.482, 0.667, 0.658, 0.254, 30.9), (0.273, 0.774, 0.555, 0.163, 31.7)),
-    "amber": ((0.0711, 0.768, 0.551, 0.16, 38.4), (0.047, 0.893, 0.589, 0.0581, 34.1)),
-    "brown": ((0.302, 1.26, 0.768, 0.307, 37.9), (0.331, 0.883, 0.731, 0.212, 34.8)),
-    "dark-brown": ((1.09, 0.25, 0.466, 0.288, 31.1), (0.512, 0.384, 0.809, 0.181, 34.3)),
+    "blue": ((0.0336, 0.00672, 0.105, 0.208, 7.47), (0.0983, 0.00742, 0.0207, 0.142, 14.2)),
+    "grey": ((0.0861, 0.0327, 0.514, 0.149, 9.84), (0.0466, 0.0314, 0.436, 0.124, 17.9)),
+    "green": ((0.00595, 0.493, 0.98, 0.011, 16.5), (0.0219, 0.676, 0.98, 0.0235, 28.8)),
+    "hazel": ((0.525, 0.529, 0.693, 0.251, 37.8), (0.246, 0.776, 0.576, 0.169, 33.5)),
+    "amber": ((0.0707, 0.798, 0.522, 0.157, 40), (0.0444, 0.851, 0.613, 0.0593, 34.4)),
+    "brown": ((0.198, 1.32, 0.751, 0.335, 37.9), (0.406, 0.727, 0.734, 0.219, 37.1)),
+    "dark-brown": ((1.03, 0.346, 0.471, 0.301, 31.8), (0.446, 0.526, 0.707, 0.194, 34.8)),
 }
 # Thicker stroma is darker in brown irides, so that their fibres show less.
-_BROWN = {"fibres": 0.6, "clouds": 0.5, "collarette": 0.5}
+_BROWN = {"fibres": 0.9, "clouds": 0.5, "collarette": 0.5}
 _FEATURES: dict[str, dict[str, Any]] = {
-    "blue": {"crypts": 9, "patches": 0.7, "furrows": 2, "looseness": 0.3, "clouds": 0.8},
-    "grey": {"crypts": 13, "patches": 0.8, "looseness": 0.8, "clouds": 0.7},
-    "green": {"crypts": 10, "patches": 0.4, "amber": 1.5, "heterochromia": 2.0, "abl": 0.5},
-    "hazel": {"crypts": 10, "patches": 0.8, "heterochromia": 2.5, "abl": 0.4, "freckles": 2},
-    "amber": {"crypts": 8, "patches": 1.2, "amber": 1.0, "heterochromia": 0.5, "abl": 0.3}
-    | {"fibres": 0.8, "clouds": 0.6},
-    "brown": {"crypts": 7, "patches": 1.2, "amber": 0.3, "furrows": 6} | _BROWN,
+    "blue": {"crypts": 9, "patches": 0.7, "furrows": 2, "looseness": 0.3, "clouds": 0.5},
+    "grey": {"crypts": 13, "patches": 0.8, "looseness": 0.6, "clouds": 0.4},
+    "green": {"crypts": 10, "patches": 0.4, "amber": 2.5, "heterochromia": 4.0, "abl": 0.5},
+    "hazel": {"crypts": 10, "patches": 0.5, "heterochromia": 6.0, "abl": 0.4, "freckles": 2},
+    "amber": {"crypts": 8, "patches": 1.2, "amber": 1.0, "heterochromia": 1.5, "abl": 0.3}
+    | {"clouds": 0.6},
+    "brown": {"crypts": 7, "patches": 0.9, "amber": 0.3, "furrows": 6} | _BROWN,
     "dark-brown": {"crypts": 5, "patches": 0.4, "abl": 0.5, "furrows": 7} | _BROWN,
 }
 
@@ -74,12 +74,12 @@ def preset(
     them for each process so that a picture in the studio shows the visible iris, through the cornea
     and with the preset's maps, in the colour of photographed irides within one standard deviation
     (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Of all such
-    values it chooses the pigments nearest to usual ones and the weakest scattering: 8 to 38 times
-    LB06's by ILIT and 15 to 34 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
+    values it chooses the pigments nearest to usual ones and the weakest scattering: 7 to 40 times
+    LB06's by ILIT and 14 to 37 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
     other soft tissues have. Hazel, brown and amber also need a stroma of 0.35, 0.35 and 0.55 mm.
     Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
     Exp. Eye Res. 67, 293]. The redness of photographed irides requires more blood than LB06's 0.084
-    mmol/l, at most 0.307, an eighth of pure blood's; its saturation is 0.95, as in the
+    mmol/l, at most 0.335, a seventh of pure blood's; its saturation is 0.95, as in the
     choroid, since a saturation of 0.5 would require twice as much blood. Fibrils have LB06's
     radius, which has the same effect as the strength. Hazel and green eyes are browner near the
     pupil, where their maps add eumelanin.
@@ -107,7 +107,7 @@ def preset(
     fields |= {"saturation": _SATURATION, "stroma_thickness": thickness}
     iris = Iris().replace(**fields).replace(**dict(pigments or {}))
     # A share of the thickness, so that the relief is as high in a thicker stroma.
-    arguments: dict[str, Any] = {"relief": 0.12 * usual / thickness, "margins": 0.6}
+    arguments: dict[str, Any] = {"relief": 0.13 * usual / thickness, "margins": 0.4}
     arguments |= _FEATURES.get(colour, {}) | dict(features or {})
     # Presets of one key have patterns of their own.
     key = jax.random.fold_in(key, list(_PIGMENTS).index(colour))

@@ -5,8 +5,8 @@ meshes, from coarse to fine: the lines on which noise is 0, straight inside the 
 outside; slits part them in the pupillary zone. Fuchs's crypts are gaps between bundles, open in a
 wreath outside the collarette. Density, sharpness and pigment vary in clouds, tufts, sectors and
 rings; where the stroma is thin, its pigment is denser. Features are drawn from what photographs
-show, not fitted to anything. Contrasts along a ring, at scales from 1 to 17 degrees of angle, are
-0.05 to 0.12 of the presets' brightness, and 0.05 to 0.13 in photographs.
+show, not fitted to anything. Relative to its mean over 17 degrees, luminance along a ring varies by
+0.20 to 0.31 (r.m.s.) in the presets, and by 0.27 to 0.41 in six photographs.
 """
 
 import math
@@ -40,23 +40,23 @@ from irisjax.tissue.maps import IrisMaps, cell_centres
 IPE_THICKNESS = 0.07
 """Thickness of the iris pigment epithelium, mm, which ultrasound includes  [F09 Section 3]."""
 COLLARETTE = 0.30  # mean radius of the collarette between the pupil's edge (0) and the root (1)
-STROMA, ABL, MELANIN = (0.1, 2.2), (0.5, 1.6), (0.4, 2.5)
+STROMA, ABL, MELANIN = (0.12, 2.4), (0.5, 1.6), (0.2, 2.5)
 """Ranges of maps relative to their means: wider ones cost the renderer's tables accuracy."""
 SMOOTH_STROMA = 0.2, 1.8
 """The range of a stroma without fibres."""
 FURROW_HEIGHT = 0.025  # height of a contraction furrow's crest, mm
 PUPIL_AT_REST = 1.9
 """Radius of the pupil, mm, at which an iris has its mean thicknesses."""
-BUNDLE_CELLS = (53, 4, 1.0), (139, 4, 0.0)
+BUNDLE_CELLS = (53, 3, 1.0), (139, 4, 0.0)
 """Cells between bundles of fibres, wide ones and slits: their numbers round the iris and along the
 radius, and whether they are wide.
 """
 FIBRES = (
-    (53, 2, 0.1, 1.2),
-    (83, 4, 0.14, 1.2),
-    (127, 5, 0.2, 1.2),
-    (191, 9, 0.28, 1.2),
-    (307, 14, 0.35, 1.1),
+    (53, 1, 0.08, 1.6),
+    (83, 2, 0.11, 1.6),
+    (127, 2, 0.16, 1.6),
+    (191, 4, 0.25, 1.4),
+    (307, 6, 0.35, 1.2),
 )
 """Nets of fibres, coarse ones first: numbers of meshes round the iris and along the radius, width
 of the fibres relative to a mesh, and their height.
@@ -186,7 +186,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     focus = 0.3 + 0.7 * smoothstep(0.6 + 1.5 * blur + 0.6 * mist)
     bent_turns = turns + compression * (0.006 * bend + (0.0015 + 0.003 * looseness) * arc)
     # Fibres of the ciliary zone curl; those that a wide pupil compresses do so already.
-    bent_turns += 0.0012 / compression * smoothstep((radius - 0.2) / 0.3) * curl
+    bent_turns += 0.0006 / compression * smoothstep((radius - 0.2) / 0.3) * curl
     ring = COLLARETTE + _collarette_offset(wreath, turns)
     capacity = 2 * jnp.pi * distance / FIBRE_SPACING  # number of fibres that fit round a ring
     share = amounts["crypts"] / MOST_CRYPTS * jnp.exp(2 * openness)
@@ -207,7 +207,7 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     slit = jnp.exp(-((4 * gap) ** 2) / (taper + 1e-3)) * smoothstep(6 * taper)
     # Near the root the cords bend into arcs.
     root = jnp.exp(-((3 * arc) ** 2)) * smoothstep((radius - 0.6) / 0.3)
-    opening = opening * smoothstep((0.75 - cords) / 0.4)  # cords bridge an opening
+    opening = opening * smoothstep((0.6 - cords) / 0.5)  # cords bridge an opening
     opening *= jnp.minimum(1.0, 1.3 / compression)  # a wide pupil closes them
     crests, pupillary = _collarette(wreath, turns, ragged_radius, ring)
     contrast = amounts["fibres"] * (0.5 + 0.5 * focus + 0.5 * amounts["collarette"] * crests)
@@ -218,20 +218,20 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     frame = 4 * opening * (1 - opening)  # a crypt's rim
     upper = (1.8 + 1.6 * outside) * cords + 2.0 * mesh + 0.8 * outside * looseness * (bundle - 0.3)
     surface = contrast * upper
-    clouds = 0.8 * cloud + 0.6 * wide + 0.8 * mist + 1.3 * sector + 1.7 * tuft
+    clouds = 0.7 * cloud + 0.6 * wide + 0.4 * mist + 0.6 * sector + 0.5 * tuft
     surface += 0.8 * amounts["clouds"] * clouds * (0.4 + 0.6 * outside)
     surface += amounts["collarette"] * (1.1 * crests - 0.3 * pupillary)
-    surface -= 0.5 * opening + 0.4 * contrast * slit
+    surface -= 0.6 * opening + 0.5 * contrast * slit
     seam = _pupillary_ruff(wreath, turns, radius / compression)
     rim = jnp.where(amounts["ruff"] > 0, seam, 0.0)
-    inner += amounts["collarette"] * (1.2 * crests - 0.9 * pupillary)
-    inner -= 2.5 * amounts["ruff"] * rim + 1.4 * opening + 0.8 * contrast * slit
+    inner += amounts["collarette"] * (1.2 * crests - 0.7 * pupillary)
+    inner -= 4.0 * amounts["ruff"] * rim + 2.4 * opening + 1.0 * contrast * slit
     inner += 0.7 * frame
     margin = (1 - seam) * smoothstep(1 - radius / compression / (0.16 + 0.1 * mist))
     edge = smoothstep((radius - 0.78 + 0.2 * cloud + 0.15 * wide + 0.1 * mist) / 0.3)
     inner -= 1.2 * amounts["margins"] * (margin + edge)
     stroma = stroma_profile(radius) if profile else jnp.ones_like(radius)
-    stroma = jnp.log(stroma * thickening) + 0.8 * (surface + inner)
+    stroma = jnp.log(stroma * thickening) + 0.6 * (surface + inner)
     mottling = 0.35 * streak + 0.5 * cloud + 0.3 * crest - 0.6 * cords
     abl = jnp.log(thickening) + amounts["abl"] * mottling
     abl = _limit_range(abl, distance, mean_abl, ABL)
@@ -241,11 +241,11 @@ def _grow(iris: Iris, eye: Eye, shape, profile: bool, amounts, key) -> dict[str,
     reach = ring + 0.14 + 0.25 * cloud + 0.15 * wide + 0.1 * streak + 0.1 * cords
     zone = smoothstep((reach - soft_radius) / 0.5 + 0.5)
     eumelanin = jnp.log1p(amounts["heterochromia"] * zone * (1 + 0.7 * mist))
-    dark = 1.2 * cloud + 0.8 * jnp.tanh(4 * wide) + 0.9 * mist + 0.5 * wool + 0.2 * streak
+    dark = 1.2 * cloud + 1.5 * wide + 0.9 * mist + 0.5 * wool + 0.4 * streak
     thinness = jnp.mean(stroma) - stroma
     dark += 0.7 * thinness - 0.6 * (tuft + sector)
     dark += 1.6 * edge + 2.0 * rim + 0.7 * opening + 1.5 * slit
-    dark -= contrast * (0.5 * cords + 0.2 * mesh)
+    dark -= contrast * (1.6 * cords + 0.9 * mesh)
     dark += amounts["collarette"] * (0.6 * pupillary - 0.8 * crests)
     eumelanin += amounts["patches"] * dark
     reach = ring + 0.25 + 0.3 * wide - 0.3 * cloud + 0.1 * streak + 0.1 * cords
@@ -375,7 +375,7 @@ def _fibre_bundles(
         probability = share * (wide * wreath + (1 - wide) * slits)
         probability *= smoothstep(capacity / across - 0.3)  # none where many would share a pixel
         openness = smoothstep(1.5 - chance / jnp.maximum(probability, 1e-6))
-        opening = jnp.maximum(opening, openness * smoothstep((border - 0.1 + 0.4 * ragged) / 0.7))
+        opening = jnp.maximum(opening, openness * smoothstep((border - 0.15 + 0.8 * ragged) / 0.8))
         height = jnp.exp(-((border / (0.2 + 0.1 * ragged)) ** 2))
         turns -= (0.35 * looseness + 0.4 * openness) * offset
         return (turns, opening, jnp.maximum(bundle, height)), middle
@@ -476,7 +476,7 @@ def _freckles(seed: Seed, turns, distance, eye: Eye, ragged, count: Count) -> No
         middle = eye.from_axis(0.15 + 0.75 * b)
         across = 2 * jnp.pi * ((turns - a + 0.5) % 1.0 - 0.5) * middle
         away = jnp.sqrt(across**2 + (distance - middle) ** 2) / (0.08 * 3.0 ** (c**2))
-        shape = smoothstep(1.1 - 0.6 * away + 0.9 * ragged) ** 2
-        return jnp.maximum(cover, (0.2 + 0.6 * d) * shape)
+        shape = smoothstep(1.1 - 0.5 * away + 0.6 * ragged) ** 2
+        return jnp.maximum(cover, (0.15 + 0.45 * d) * shape)
 
     return jax.lax.fori_loop(0, count, spot, jnp.zeros_like(distance))
