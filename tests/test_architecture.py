@@ -228,6 +228,17 @@ def test_what_is_not_asked_for_costs_nothing():
     assert deep < program(ij.DEPTH_RESOLVED, panels=3)
 
 
+def test_seeds_become_keys_in_one_place():
+    """Elsewhere a key would follow JAX's setting, and equal seeds would not give equal bytes."""
+    made = {
+        name
+        for name, tree in _parsed().items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "jax.random.key"
+    }
+    assert made == {"irisjax.numerics.streams"}
+
+
 def test_panels_without_a_critical_angle_are_not_compiled():
     """LB06's stroma has none, so its rule costs no more than one that could have two panels."""
     order, critical = ij.Iris.of_level("low").order, jnp.asarray([-0.1, -0.2])

@@ -13,7 +13,6 @@ import numpy as np
 
 import irisjax as ij
 from irisjax import io
-from irisjax.cli import options as opt
 from irisjax.cli import report
 from irisjax.cli.engine import LostPiece, Workers, run_pieces
 from irisjax.cli.fit_options import AMORTISED, FitResults, Measurements, Model, Sampler, process_of
@@ -40,6 +39,7 @@ from irisjax.io.fits import (
 from irisjax.io.measured import Measured
 from irisjax.io.tables import csv_of, naming, replacing
 from irisjax.numerics.chunks import cores
+from irisjax.numerics.streams import key_of
 from irisjax.transport.process import option_of
 
 _CHUNK = 64  # eyes that a device fits at a time
@@ -191,7 +191,7 @@ def _fit_piece(
     """Fit eyes; return their rows, and rows of the covariances of those that could be fitted."""
     rows, covariances = {}, {}
     for chunk, options in chunks:
-        new_rows, new_covariances = _fit_chunk(chunk, spectrum_arguments, options, opt.key_of(seed))
+        new_rows, new_covariances = _fit_chunk(chunk, spectrum_arguments, options, key_of(seed))
         rows |= new_rows
         covariances |= new_covariances
     return rows, covariances

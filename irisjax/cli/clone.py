@@ -6,7 +6,6 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-import jax
 import numpy as np
 import typer
 from tqdm import tqdm
@@ -23,6 +22,7 @@ from irisjax.io.clones import CLONE_FILES, OVERLAY, files_of, overlay_of
 from irisjax.io.eye_colours import COLOUR_FILES, colour_files
 from irisjax.io.photographs import read_photograph
 from irisjax.numerics.checks import Range
+from irisjax.numerics.streams import key_of
 from irisjax.photo import clone as cloning
 from irisjax.photo.doubts import Doubt, doubtful_outlines, doubts_of, per_cent
 from irisjax.photo.eye_colour import RINGS, EyeColour, RegionColour, colours_of
@@ -246,7 +246,7 @@ def run_clone(
     options = {n: v for group in (picture, model) for n, v in vars(group).items() if n != "typed"}
     options |= {"photograph": path}
     texts: dict[str, object] = {n: str(v) if isinstance(v, Path) else v for n, v in options.items()}
-    key = jax.random.key(model.seed)
+    key = key_of(model.seed)
 
     def with_overlay(found: cloning.Outlined, error: ValueError) -> ValueError:
         folder.mkdir(parents=True, exist_ok=True)

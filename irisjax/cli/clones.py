@@ -23,6 +23,7 @@ from irisjax.io.camera import RAW
 from irisjax.io.clones import OVERLAY
 from irisjax.io.eye_colours import COLOUR_FILES, CONTACT_SHEET, encode_contact_sheet
 from irisjax.io.photographs import HEIF, PHOTOGRAPHS
+from irisjax.numerics.streams import key_of
 from irisjax.photo import clone as cloning
 from irisjax.photo.doubts import doubtful_outlines
 from irisjax.photo.eye_colour import EyeColour, colours_of
@@ -94,7 +95,7 @@ def _clone_one(
     (folder / results.summary).unlink(missing_ok=True)  # marks a photograph that is done
     try:
         run = run_clone(path, picture, model, results, folder, draw or here, True)
-        return _row(path.name, run, jax.random.key(model.seed))
+        return _row(path.name, run, key_of(model.seed))
     except Exception as error:
         # An error in one photograph, even a fault of the program, must not end a long run: it is
         # written into the row. IRISJAX_DEBUG raises it.

@@ -16,6 +16,7 @@ from irisjax.infer.priors import AbstractPrior, prior_of
 from irisjax.io.measured import QUANTITIES, REFLECTANCE_UNITS, WAVELENGTH_UNITS, ReadOptions
 from irisjax.measure.passbands import BANDWIDTH
 from irisjax.numerics.checks import Range, check_known
+from irisjax.numerics.streams import key_of
 from irisjax.transport.process import DEPTH_RESOLVED, PROCESSES, option_of
 
 Span = tuple[float, float]
@@ -274,7 +275,7 @@ class Sampler(opt.Group, panel="Sampler"):
 
     @property
     def key(self) -> jax.Array:
-        return opt.key_of(self.seed)
+        return key_of(self.seed)
 
 
 class FitResults(opt.Group, panel="Files"):

@@ -8,6 +8,7 @@ from irisjax.cli import options as opt
 from irisjax.cli.files import check_is_folder
 from irisjax.infer.amortised import flow_name, read_flow, save_flow, train_flow
 from irisjax.io.tables import replacing
+from irisjax.numerics.streams import key_of
 
 
 def flow_for(problem: ij.Problem, folder: Path, seed: int, each: Any) -> Path:
@@ -18,7 +19,7 @@ def flow_for(problem: ij.Problem, folder: Path, seed: int, each: Any) -> Path:
         read_flow(path, problem)
         return path
     opt.notice(f"training a flow for these bands and this model, some minutes; kept in {folder}")
-    flow = train_flow(problem, each=each, key=opt.key_of(seed))
+    flow = train_flow(problem, each=each, key=key_of(seed))
     folder.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary:
         save_flow(temporary, flow)

@@ -21,6 +21,7 @@ from irisjax.infer.priors import AbstractPrior
 from irisjax.infer.repeatability import agreement, intraclass_correlation
 from irisjax.io.fits import FittedEyes, read_fits
 from irisjax.io.tables import csv_of
+from irisjax.numerics.streams import key_of
 
 _PRODUCT = ("melanin_load", "abl_fraction")  # abl_melanin
 _FEWEST = 5  # effective draws of an eye below which its draws do not cover the group's distribution
@@ -89,7 +90,7 @@ def _values(prior: AbstractPrior, z: Any) -> Any:
 
 def _compare(one: FittedEyes, two: FittedEyes, seed: int) -> tuple[list[str], list[_Row]]:
     """Compare two groups; return remarks, and a row for each parameter."""
-    key = opt.key_of(seed)
+    key = key_of(seed)
     has_draws = one.draws is not None and two.draws is not None
     populations = [
         population(

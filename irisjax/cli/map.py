@@ -36,6 +36,7 @@ from irisjax.io.tables import replacing
 from irisjax.measure.passbands import Passbands
 from irisjax.numerics.checks import Range
 from irisjax.numerics.chunks import cores
+from irisjax.numerics.streams import key_of
 from irisjax.photo.photograph import Ellipse
 from irisjax.plot import flags_figure, maps_figure, picture
 from irisjax.tissue.maps import cell_centres
@@ -413,7 +414,7 @@ def _posteriors(
     settings: _Fitting, flow: Path, values: np.ndarray, fits: PixelFits, each: Any
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Draw posteriors; return flags of pixels, and maps of means and standard deviations."""
-    problem, key = settings.problem, opt.key_of(settings.seed)
+    problem, key = settings.problem, key_of(settings.seed)
     data = problem, values, fits.z, fits.z_covariance
     weighted = weighted_draws(read_flow(flow, problem), *data, each=each, key=key)
     draws, reliable = with_chains(weighted, *data, each=each, key=key)

@@ -25,6 +25,7 @@ from irisjax.cli.files import (
 from irisjax.infer.parameters import of_iris
 from irisjax.measure.observe import observe
 from irisjax.measure.polarimeter import PolarisedReading
+from irisjax.numerics.streams import key_of
 from irisjax.transport.montecarlo import MonteCarlo
 from irisjax.transport.process import DEPTH_RESOLVED, POLARISED
 from irisjax.transport.solver import AbstractSolver
@@ -145,7 +146,7 @@ def simulate_measurement_command(
         solver=model.exact_solver(rules, eye),
         noise=ij.Noise(*levels),
     )
-    key = opt.key_of(light.seed)
+    key = key_of(light.seed)
     draw = jax.jit(lambda k: problem.simulate(jnp.zeros(1), k)[0])
     names = [f"scan_{i + 1}" for i in range(light.scans)] if light.scans > 1 else ["reflectance"]
     scans = {n: draw(jax.random.fold_in(key, i)) for i, n in enumerate(names)}

@@ -8,6 +8,7 @@ import jax
 import irisjax as ij
 from irisjax.cli import options as opt
 from irisjax.numerics.checks import Range
+from irisjax.numerics.streams import key_of
 from irisjax.tissue.indices import Scattering
 from irisjax.tissue.iris import BLOOD, FRACTIONS, LIMITS, Absorption
 from irisjax.tissue.scattering import POWER_LAW_LIMITS, PowerLaw
@@ -144,7 +145,7 @@ class SolverOptions(opt.Group, panel="Solver"):
     @property
     def key(self) -> jax.Array | None:
         """The key of a solver that samples."""
-        return None if self.solver == "exact" else opt.key_of(self.seed)
+        return None if self.solver == "exact" else key_of(self.seed)
 
 
 def build_model(options: IrisOptions, rules: ProcessOptions) -> tuple[ij.Iris, AbstractProcess]:

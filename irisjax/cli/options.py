@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, TypeAlias, dataclass_transform
 
-import jax
 import numpy as np
 import typer
 
@@ -77,11 +76,6 @@ def whole(help: str, allowed: Range, default: int | None = None, metavar: str = 
 def seeded(what: str) -> Any:
     """Make the option of a seed of 32 bits: larger ones give other streams in a float32 session."""
     return whole(f"{{}}; equal seeds give equal {what}", Range(0, 2**32 - 1), 0, "number")
-
-
-def key_of(seed: int) -> jax.Array:
-    """Return a seed's key; its kind is fixed, whatever the environment prefers."""
-    return jax.random.key(seed, impl="threefry2x32")
 
 
 def choice(help: str, known: Iterable[str], default: str | None = None, **more: Any) -> Any:

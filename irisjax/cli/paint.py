@@ -26,6 +26,7 @@ from irisjax.io.sections import json_of
 from irisjax.io.targets import TISSUE_MAPS, TISSUE_SCENE, Target, read_target, tissue_files
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range
+from irisjax.numerics.streams import key_of
 from irisjax.ocularist.coats import LIMBUS, PUPIL_RADIUS, Painting, over
 from irisjax.ocularist.components import COMPONENTS
 from irisjax.ocularist.integrator import Painted
@@ -188,7 +189,7 @@ def _prepare(subject: PaintedEye, size: int, folder: Path) -> _Prepared:
         recipe = subject.changed(_nearest_colour(target, subject.seed))
     count = _RETOUCHES if subject.retouch is None else subject.retouch
     with subject.in_file():
-        return _match(target, recipe, folder, count, size, jax.random.key(subject.seed))
+        return _match(target, recipe, folder, count, size, key_of(subject.seed))
 
 
 def _nearest_colour(target: Target, seed: int) -> Recipe:

@@ -25,6 +25,7 @@ from irisjax.io.tables import format_table, replacing
 from irisjax.measure.colour import illuminant_power
 from irisjax.numerics.checks import Range
 from irisjax.numerics.interpolation import polar_bilinear
+from irisjax.numerics.streams import key_of
 from irisjax.transport.process import option_of
 
 _LIMBUS, _PUPIL = 0.48, 0.16  # radii over the width of the cube
@@ -57,7 +58,7 @@ def simulate_cube_command(
     folder, size = cube.output, cube.size
     check_folder(folder, "cube.hdr", "a cube", cube.overwrite)
     eye, rules = model.build_model(iris, process)
-    grid, key = light.wavelengths.values, opt.key_of(light.seed)
+    grid, key = light.wavelengths.values, key_of(light.seed)
     middle, row, column = (size - 1) / 2, *np.mgrid[:size, :size]
     radius_of_pixel = np.hypot(row - middle, column - middle) / size
     angle_of_pixel = np.arctan2(middle - row, column - middle) % (2 * np.pi)

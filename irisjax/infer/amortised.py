@@ -34,7 +34,7 @@ from irisjax.infer.posterior import Chains, sample
 from irisjax.infer.problem import Problem, predicted
 from irisjax.numerics import linear
 from irisjax.numerics.chunks import map_rows
-from irisjax.numerics.streams import words_of
+from irisjax.numerics.streams import key_of, words_of
 
 if TYPE_CHECKING:
     from flowjax.distributions import Transformed
@@ -262,7 +262,7 @@ def _new_flow(free: int, conditions: int) -> "Transformed":
     from paramax import non_trainable
 
     return coupling_flow(
-        jax.random.key(0, impl="threefry2x32"),
+        key_of(0),
         base_dist=non_trainable(StudentT(jnp.full(free, _DEGREES))),
         transformer=RationalQuadraticSpline(knots=_KNOTS, interval=_REACH),
         cond_dim=conditions, flow_layers=_LAYERS, nn_width=_WIDTH, nn_depth=_DEPTH,

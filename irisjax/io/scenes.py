@@ -32,6 +32,7 @@ from irisjax.io.sections import (
 from irisjax.io.text import read_text
 from irisjax.measure.colour import illuminant_power
 from irisjax.numerics.checks import Range
+from irisjax.numerics.streams import key_of
 from irisjax.render.camera import CAMERA_LIMITS, MAX_SIDE, Camera
 from irisjax.render.environment import ENVIRONMENTS
 from irisjax.render.integrators import INTEGRATORS, integrator_name, refine_table
@@ -212,8 +213,7 @@ class SceneFile:
 
 def stream(seed: int, name: str) -> PRNGKey:
     """The random key of a scene's `"maps"`, `"veins"`, `"lids"` or `"pupil"`."""
-    key = jax.random.key(seed, impl="threefry2x32")
-    return jax.random.fold_in(key, {"maps": 0, "veins": 1, "lids": 2, "pupil": 3}[name])
+    return jax.random.fold_in(key_of(seed), {"maps": 0, "veins": 1, "lids": 2, "pupil": 3}[name])
 
 
 def read_scene(path: str | Path) -> SceneFile:

@@ -14,6 +14,11 @@ Word = UInt32[Array, "..."]
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 
 
+def key_of(seed: int) -> PRNGKey:
+    """Return a seed's key; its kind is fixed, whatever the environment prefers."""
+    return jax.random.key(seed, impl="threefry2x32")
+
+
 def check_key(key: Any) -> PRNGKey:
     """Return `key`; raise `ValueError` unless it is one threefry key as `jax.random.key` makes."""
     if key is None:

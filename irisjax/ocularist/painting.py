@@ -3,13 +3,13 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.vessels import veins
 from irisjax.numerics.checks import check_known
+from irisjax.numerics.streams import key_of
 from irisjax.ocularist.coats import Coat, Painting, profile_of
 from irisjax.ocularist.components import component, scan
 from irisjax.ocularist.integrator import Painted
@@ -77,7 +77,7 @@ def _opacity(recipe: CoatRecipe, eye: Eye, size: int, scans: Mapping[str, np.nda
         return scan(scans[file], size)
     pupil = float(eye.pupil_radius / eye.iris_radius)
     made = component(recipe.component, recipe.parameters)
-    return made.opacity(size, pupil, key=jax.random.key(recipe.seed))
+    return made.opacity(size, pupil, key=key_of(recipe.seed))
 
 
 def studio(painting: Painting, eye: Eye, *, seed: int = 0, **parts: Any) -> Scene:
@@ -97,5 +97,5 @@ def studio(painting: Painting, eye: Eye, *, seed: int = 0, **parts: Any) -> Scen
         "environment_lights": _ENVIRONMENT_LIGHTS,
     }
     if eye.sclera is not None:
-        usual["veins"] = veins(eye, key=jax.random.key(seed))
+        usual["veins"] = veins(eye, key=key_of(seed))
     return Scene(None, eye=eye, **(usual | parts))

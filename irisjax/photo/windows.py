@@ -13,6 +13,7 @@ from scipy import ndimage
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.procedural import procedural
+from irisjax.numerics.streams import key_of
 from irisjax.photo.light import SHADED
 from irisjax.photo.photograph import Brightness, Colours, Mask
 from irisjax.photo.texture import LUMINANCE_WEIGHTS
@@ -295,7 +296,7 @@ def average_maps(eye: Eye) -> IrisMaps:
     most.
     """
     iris = Iris(stroma_thickness=jnp.asarray(average_thickness(eye)))
-    return procedural(iris, eye, fibres=0.5, clouds=0.4, key=jax.random.key(_SEED))
+    return procedural(iris, eye, fibres=0.5, clouds=0.4, key=key_of(_SEED))
 
 
 @eqx.filter_jit

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from irisjax.numerics.streams import check_key, fold_in_words, scales, uniform
+from irisjax.numerics.streams import check_key, fold_in_words, key_of, scales, uniform
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2**31 - 1, 123456789])
@@ -19,6 +19,12 @@ def _words(key, counts):
     expected = jax.vmap(lambda c: jax.random.key_data(jax.random.fold_in(key, c)))(counts)
     k0, k1 = jax.random.key_data(key)
     return jnp.stack(fold_in_words(k0, k1, counts), -1), expected
+
+
+def test_a_seed_is_the_same_key_whatever_the_environment_prefers():
+    usual = key_of(7)
+    with jax.default_prng_impl("rbg"):
+        assert key_of(7) == usual
 
 
 def test_uniform_is_never_an_end():
