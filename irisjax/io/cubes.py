@@ -247,6 +247,9 @@ def _envi(path: Path, unit: str | None) -> Cube:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             header = envi.read_envi_header(path)
+            for key in ("samples", "lines", "bands"):
+                if not header[key].isdigit():
+                    raise ValueError(f"{key} = {header[key]} is no whole number")
             image: Any = envi.open(path)
         stored = np.dtype(image.dtype)
         rows, columns, bands = image.nrows, image.ncols, image.nbands
