@@ -168,12 +168,11 @@ def near_lamp_entry(
     towards: Float[Array, "3"],
     inverse_distance: Scalar,
     point: Float[Array, "*s 2"],
-    size: int = 17,
 ) -> tuple[Vector, Float[Array, "*s"]]:
     """Find where the light of a near lamp enters the cornea, and how much more it spreads than a
     parallel beam.
 
-    Both are searched at `size` × `size` points and interpolated. Where no ray lands, and abruptly
+    Both are searched at 17 × 17 points and interpolated. Where no ray lands, and abruptly
     beyond `UNIQUE_POLAR`, the light enters right in front of the point, and the factor is 1.
 
     Args:
@@ -181,13 +180,12 @@ def near_lamp_entry(
         towards: Unit vector from the apex to the lamp.
         inverse_distance: 1 over the lamp's distance from the apex, 1/mm.
         point: x and y of points of the iris, mm.
-        size: Number of points searched along each side.
 
     Returns:
         Entry points (…, 3), mm, and factors on the flux in the tables, which hold for a parallel
         beam; on the axis the factor is 0.89 for a lamp at 50 mm.
     """
-    cornea = cornea_of(eye)
+    cornea, size = cornea_of(eye), 17
     grid = jnp.linspace(-1, 1, size) * eye.iris_radius
     targets = jnp.stack(jnp.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
 

@@ -169,11 +169,11 @@ def arriving_flux(eye: Eye, entry: Float[Array, "2"], towards_light: Vector) -> 
     return flux * landing.direction
 
 
-def limbus_window(eye: Eye, entry: Float[Array, "*s 2"], soft: float = 0.15) -> Float[Array, "*s"]:
+def limbus_window(eye: Eye, entry: Float[Array, "*s 2"]) -> Float[Array, "*s"]:
     """Return 1 where the entry lies on the cornea and 0 beyond the limbus, which is no sharp edge:
-    the step is ± `soft` mm wide.
+    the step is 0.3 mm wide.
     """
-    return smoothstep(0.5 + (eye.limbus_radius - norm(entry)) / (2 * soft))
+    return smoothstep(0.5 + (eye.limbus_radius - norm(entry)) / 0.3)
 
 
 class RefractionFunction(eqx.Module):
