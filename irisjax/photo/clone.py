@@ -626,7 +626,7 @@ def usual_iris(stroma_thickness: ArrayLike) -> Iris:
     return Iris().replace(stroma_thickness=stroma_thickness, **fixed)
 
 
-def has_texels(settings: CloneSettings, given: Given = NOTHING) -> bool:
+def has_texels(settings: CloneSettings, given: Given) -> bool:
     """Return whether texels get a thickness and pigments of their own: not where the thickness is
     given, by Eq. 7 or that of a second photograph.
     """

@@ -78,7 +78,7 @@ def weigh_outlines(photo: Photograph, limbus: FittedEllipse, pupil: FittedEllips
     right = (circle.points(RAYS)[:, 0] - circle.centre[0]) / circle.mean_radius
     sides = [sign * right > _SIDE for sign in (-1, 1)]
     rim, beyond = (place > 0.8) & (place < 0.97), (place > 1.08) & (place < 1.25)
-    rises = [_log_ratio(profile[s][:, beyond], profile[s][:, rim], 0.3) for s in sides]
+    rises = [_log_ratio(profile[s][:, beyond], profile[s][:, rim]) for s in sides]
     rises = np.clip(np.array(rises) / 1.5, 0, 1)
     colourless = 1.0
     if redness is not None:
@@ -183,12 +183,12 @@ def _radial(profile, place, pitch: float) -> float:
     return float(np.clip((share - 0.25) / 0.25, 0, 1))
 
 
-def _log_ratio(beyond, inside, quantile: float) -> float:
-    """Logarithm of the middle of one part over a quantile of the other; 0 if one is not seen."""
+def _log_ratio(beyond, inside) -> float:
+    """ln of one part's median over the other's quantile of 30 %; 0 if one is not seen."""
     beyond, inside = _finite(beyond), _finite(inside)
     if not (beyond.size and inside.size):
         return 0.0
-    return float(np.log((np.median(beyond) + 1e-3) / (np.quantile(inside, quantile) + 1e-3)))
+    return float(np.log((np.median(beyond) + 1e-3) / (np.quantile(inside, 0.3) + 1e-3)))
 
 
 def _finite(values):

@@ -444,7 +444,7 @@ def solve_levels(
     return _enlarged(local, levels[1].known, levels[0].known.shape)
 
 
-def ranges_about(local: Local, known: Mask, factors: Scales = FACTORS) -> Scales:
+def ranges_about(local: Local, known: Mask, factors: Scales) -> Scales:
     """Return ranges about the numbers of a coarse level, for a table with a smaller error."""
     low, high = np.quantile(local.logs[known], [0.002, 0.998], axis=0)
     spans = [np.exp([a - _MARGIN, b + _MARGIN]) for a, b in zip(low, high, strict=True)]

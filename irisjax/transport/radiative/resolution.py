@@ -23,7 +23,7 @@ _DARK = 36.0  # optical depth behind which less than rounding is left
 _OPAQUE = 18.5  # optical depth of an ABL behind which less than 1e-8 is left
 
 
-def panels_for(layers: Layers, n_depths: int, slant: Real = 1.0) -> int | None:
+def panels_for(layers: Layers, n_depths: int, slant: Real) -> int | None:
     """Depth panels needed for concrete layers of such a `steepness`; `None` for traced ones."""
     if not is_known(layers.extinction, layers.albedo, slant):
         return None
@@ -62,7 +62,7 @@ def steepness(layers: Layers, light: Light) -> jax.Array:
     return steep
 
 
-def _coarseness(layers: Layers, n_depths: int, n_panels: int, slant: Real = 1.0):
+def _coarseness(layers: Layers, n_depths: int, n_panels: int, slant: Real):
     """Coarseness of the panels; the relative error of reflectance is about 8e-7 times its cube.
 
     Fitted to a scan over depths 0.1 to 32, albedos 0.003 to 1, 6 to 10 polynomials
