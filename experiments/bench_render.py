@@ -21,10 +21,9 @@ from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.picture import (
-    Texels,
     draw_on_cores,
     illuminate,
-    iris_texels,
+    iris_model,
     lit_model,
     prepare_scene,
     respond,
@@ -103,7 +102,9 @@ def frames(key, size, repeats):
             def thicker(i):
                 thick = scene.maps.stroma_depth * (1 + 1e-3 * i)
                 changed = scene.replace(maps=scene.maps.replace(stroma_depth=thick))
-                mapped = Texels(*iris_texels(view, changed), texels.sclera, texels.environment)
+                model = iris_model(changed)
+                iris = changed.integrator.texels(view.iris, model, model.ranges)
+                mapped = dataclasses.replace(texels, iris=iris, facing=model.facing(view.iris))
                 return shade(view, mapped, light, respond(changed))
 
             def uniformly_thicker(i):

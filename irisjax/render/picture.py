@@ -173,17 +173,23 @@ def texture(view: View, scene: Scene, model: IrisModel | None = None) -> Texels:
         scene: The scene; its lamps and pigments make no difference.
         model: `iris_model(scene)`, which is the same for every view; computed by default.
     """
-    sclera, environment, residual, lids, eye = None, None, None, None, scene.eye
+    iris = facing = sclera = environment = residual = lids = None
+    eye = scene.eye
     if view.sclera is not None and eye.sclera is not None:
         table = _sclera_colours(eye.sclera, _spectrum(scene))
         sclera = outside.sclera_base_colour(view.sclera, eye, table, scene.veins)
     if view.mirror is not None and scene.environment is not None:
         environment = outside.mirrored_environment(view.mirror, scene.environment)
-    if view.iris is not None and scene.maps is not None and scene.maps.residual is not None:
-        residual = _residual_at(view.iris, eye, scene.maps.residual)
     if view.lids is not None and eye.lids is not None:
         lids = lid_base_colour(view.lids, _lid_colours(eye.lids, _spectrum(scene)))
-    return Texels(*iris_texels(view, scene, model), sclera, environment, residual, lids)
+    if view.iris is not None:
+        model = iris_model(scene) if model is None else model
+        assert model.ranges is not None
+        iris = scene.integrator.texels(view.iris, model, model.ranges)
+        facing = model.facing(view.iris)
+        if scene.maps is not None and scene.maps.residual is not None:
+            residual = _residual_at(view.iris, eye, scene.maps.residual)
+    return Texels(iris, facing, sclera, environment, residual, lids)
 
 
 def iris_model(scene: Scene) -> IrisModel:
@@ -197,20 +203,6 @@ def lit_model(
     """Return `iris_model(scene)`, which may be given, with what is the same for many views."""
     model = iris_model(scene) if model is None else model
     return scene.integrator.lit(model, scene.all_lights(), tables)
-
-
-def iris_texels(
-    view: View, scene: Scene, model: IrisModel | None = None
-) -> tuple[Any, Facing | None]:
-    """Look up the maps of the iris and its relief at the points that pixels see, the first part of
-    `texture`.
-    """
-    if view.iris is None:
-        return None, None
-    model = iris_model(scene) if model is None else model
-    assert model.ranges is not None
-    texels = scene.integrator.texels(view.iris, model, model.ranges)
-    return texels, model.facing(view.iris)
 
 
 def illuminate(
