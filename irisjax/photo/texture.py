@@ -89,15 +89,16 @@ def texels_of(size: int) -> tuple[Brightness, Brightness]:
 
 
 def gaussian_mean(
-    values: Shaped[np.ndarray, "rows columns"], sigma: float, periodic: bool = False
+    values: Shaped[np.ndarray, "rows columns"], sigma: float, margin: bool = True
 ) -> Brightness:
     """Return a picture convolved with a Gaussian of `sigma` texels, by Fourier transforms.
 
     For wide Gaussians this is far quicker than `scipy.ndimage.gaussian_filter`. The picture is
-    continued by zeros, or `periodic`ally.
+    continued by zeros. Without the `margin` opposite edges blur into each other: leave it out only
+    where the picture has a margin of its own.
     """
-    margin = 0 if periodic else int(np.ceil(4 * sigma))
-    padded: list[Any] = [scipy.fft.next_fast_len(n + margin, real=True) for n in values.shape]
+    width = int(np.ceil(4 * sigma)) if margin else 0
+    padded: list[Any] = [scipy.fft.next_fast_len(n + width, real=True) for n in values.shape]
     spectrum = np.asarray(scipy.fft.rfft2(values.astype(np.float32), padded))
     spectrum = ndimage.fourier_gaussian(spectrum, sigma, padded[1])
     whole = np.asarray(scipy.fft.irfft2(spectrum, padded))

@@ -273,7 +273,7 @@ def deconvolve(
     padded = np.pad(part, margin)
     # The tissue continues beyond the visible part: without it the edges would seem dark.
     light = np.pad(fill_holes(1 + normalised[box].astype(np.float32), ~part), margin, mode="edge")
-    blur = partial(gaussian_mean, sigma=sigma, periodic=True)
+    blur = partial(gaussian_mean, sigma=sigma, margin=False)
     weight = blur(padded)
     weighted = weight > 1e-3
     estimate = light
