@@ -17,7 +17,7 @@ from experiments.common import RESULTS, start, write
 from irisjax.measure.photometers import colour
 from irisjax.photo.clone import usual_iris
 from irisjax.photo.pigments import FREE_NAMES, iris_of_concentrations, parameter_values
-from irisjax.photo.texels import NAMES
+from irisjax.photo.texels import CHANNEL_NOISE, DARK, NAMES, POWER, PRIOR_SD
 from irisjax.transport.ilit.exact import IlitExact
 from irisjax.transport.radiative.exact import RadiativeExact
 
@@ -27,8 +27,6 @@ ABOUT = (
 )
 COUNT = 400
 WAVELENGTHS = np.arange(400.0, 701.0, 20.0)
-NOISE, PRIOR = 0.006, 1.5
-"""Standard deviations of encoded channels and of logarithms, as of a clone's coarsest texels."""
 MADE = 0.01
 """Errors of encoded channels up to which ILIT can make a colour of radiative transfer."""
 STARTS = np.array([[0.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
@@ -60,14 +58,14 @@ def read(draw):
 
     def errors(logs, _):
         off = encoded(draw, logs, IlitExact()) - target
-        return jnp.concatenate([off / NOISE, logs / PRIOR])
+        return jnp.concatenate([off / CHANNEL_NOISE, logs / PRIOR_SD])
 
     solver = optx.LevenbergMarquardt(1e-6, 1e-6)
     search = partial(optx.least_squares, errors, solver, max_steps=60, throw=False)
     found = jax.vmap(lambda start: search(start).value)(jnp.asarray(STARTS))
     every = jax.vmap(lambda logs: errors(logs, None))(found)
     best = jnp.argmin((every**2).sum(1))
-    return jnp.append(found[best], NOISE * jnp.abs(every[best, :3]).max())
+    return jnp.append(found[best], CHANNEL_NOISE * jnp.abs(every[best, :3]).max())
 
 
 def encoded(draw, logs, solver):
@@ -78,7 +76,7 @@ def encoded(draw, logs, solver):
         values[f"{layer}_pheomelanin"] *= pheomelanin
     iris = iris_of_concentrations(values, usual_iris(_STROMA * stroma))
     seen = colour(iris, WAVELENGTHS, solver=solver, throw=False).srgb_linear
-    return (jnp.maximum(seen, 0) + 1e-3) ** (1 / 2.4)
+    return (jnp.maximum(seen, 0) + DARK) ** POWER
 
 
 if __name__ == "__main__":

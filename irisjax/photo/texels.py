@@ -62,13 +62,16 @@ irides of the priors of `photo.pigments`, by radiative transfer, read by ILIT
 (experiments/texels_by_process.py). In the median ILIT finds 0.56 times the strength of the stroma
 and 1.4 times the eumelanin. Nothing in a colour tells which process made it.
 """
-_PRIOR = 1.5  # standard deviation of the logarithms about the fitted iris, at the coarsest level
-_FINER = 0.5  # of those between a level and the next coarser one
+PRIOR_SD = 1.5
+"""Standard deviation of the logarithms about the fitted iris, at the coarsest level."""
+CHANNEL_NOISE = 0.006
+"""Least standard deviation of an encoded channel: rounding, JPEG, the model."""
+POWER, DARK = 1 / 2.4, 1e-3
+"""Of the encoding in which errors are alike, and its straight part."""
+_FINER = 0.5  # of the logarithms between a level and the next coarser one
 _STEPS = 12, 5, 4, 4  # most of Levenberg and Marquardt at each level, from the coarsest
 _BEYOND = 0.3  # of the logarithms of the finest pixels, beyond those of the next coarser
 _SLIGHT = 0.1  # twice the log density that a chunk's last step gains, or promised if refused
-_NOISE = 0.006  # least standard deviation of an encoded channel: rounding, JPEG, the model
-_POWER, _DARK = 1 / 2.4, 1e-3  # of the encoding in which errors are alike, and its straight part
 _LONGEST, _DAMPING = 1.5, 1e-3  # longest step of a logarithm; damping of the first one
 # Share of pixels `OUTSIDE` up to which no other exposure is wanted. So many may be lamps and lashes
 # that the mask has missed, to which no exposure belongs: the errors of a few decide their RMS.
@@ -326,7 +329,7 @@ def colour_iris(
     response = respond(ranges, scene.replace(iris=iris))
     local = _level(levels[0], (logs, before), response, exposure, gain, _STEPS[-1], doubt=doubt)
     logs = polar(local.logs, known)
-    off, encoded = local.off[known], (np.maximum(target * exposure, 0) + _DARK)[known] ** _POWER
+    off, encoded = local.off[known], (np.maximum(target * exposure, 0) + DARK)[known] ** POWER
     explained = 1 - (off**2).sum() / ((encoded - encoded.mean(0)) ** 2).sum()
 
     # What the maps themselves leave, after all interpolation.
@@ -370,7 +373,7 @@ def _variance_by_exchange(
     slopes = np.maximum(-covariance[:, :1, 1] / variances[:, ::-1], 0)
     other = np.sqrt(variances[:, ::-1])
     squares = [
-        np.log(np.maximum(1 + slopes * (1 - np.exp(side * other)), np.exp(-2 * _PRIOR))) ** 2
+        np.log(np.maximum(1 + slopes * (1 - np.exp(side * other)), np.exp(-2 * PRIOR_SD))) ** 2
         for side in (-1, 1)
     ]
     return np.maximum(np.mean(squares, axis=0) - slopes**2 * other**2, 0)
@@ -467,8 +470,8 @@ def _coarsest(level: Seen, response: TexelResponse, exposure, gain: float) -> Lo
     low, high = np.log(np.asarray(response.spans())).T
     draws = qmc.Sobol(3, scramble=False).random_base2(_COLOURS)
     candidates = jnp.asarray(low + (high - low) * draws, jnp.float32).T
-    near = level.logs, np.broadcast_to(_PRIOR**2 * np.eye(3), (*level.known.shape, 3, 3))
-    return _level(level, near, response, exposure, gain, _STEPS[0], _PRIOR, candidates)
+    near = level.logs, np.broadcast_to(PRIOR_SD**2 * np.eye(3), (*level.known.shape, 3, 3))
+    return _level(level, near, response, exposure, gain, _STEPS[0], PRIOR_SD, candidates)
 
 
 def _enlarged(local: Local, known: Mask, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
@@ -500,7 +503,7 @@ def _level(
     known, tints = level.known, level.light.shape[-1] // response.coefficients.shape[1]
     logs, before = near
     exposed_target = level.target * np.asarray(exposure, np.float32)
-    noise = max(_noise(exposed_target, known), _NOISE)
+    noise = max(_noise(exposed_target, known), CHANNEL_NOISE)
     exposed = jnp.asarray(exposure * gain, jnp.float32)
     parts = logs, level.target / np.float32(gain), level.light, before
     rows = tuple(np.asarray(part[known], np.float32) for part in parts)
@@ -534,7 +537,7 @@ def _solved(degrees: tuple[int, ...], tints: int, settings, rows):
     eye = jnp.eye(3, dtype=spans.dtype)[..., None]
 
     def encoded(radiance):
-        return (jnp.maximum(radiance * exposure[:, None], 0.0) + _DARK) ** _POWER
+        return (jnp.maximum(radiance * exposure[:, None], 0.0) + DARK) ** POWER
 
     def polynomials(z):
         """Polynomials of the numbers, and their derivatives by the logarithms."""
@@ -561,7 +564,7 @@ def _solved(degrees: tuple[int, ...], tints: int, settings, rows):
         centre, target, light, before = pixels
         wanted, light = encoded(target), light.reshape(tints, -1, light.shape[-1])
         # The error of the table counts most where the encoding is steep: in the dark.
-        weight = 1 / (noise**2 + (_POWER * wanted ** (1 - 1 / _POWER) * table_error[:, None]) ** 2)
+        weight = 1 / (noise**2 + (POWER * wanted ** (1 - 1 / POWER) * table_error[:, None]) ** 2)
         light = jnp.moveaxis(light, 1, 0)  # functions, tints, pixels
 
         def around(z):
@@ -571,8 +574,8 @@ def _solved(degrees: tuple[int, ...], tints: int, settings, rows):
                 total(response([slopes[i] if j == i else values[j] for j in range(3)]) * light)
                 for i in range(3)
             ]
-            lit = jnp.maximum(modelled * exposure[:, None], 0.0) + _DARK
-            steep = _POWER * lit ** (_POWER - 1)
+            lit = jnp.maximum(modelled * exposure[:, None], 0.0) + DARK
+            steep = POWER * lit ** (POWER - 1)
             rates = jnp.stack(pushed) * (steep * exposure[:, None])
             error = encoded(modelled) - wanted
             # Colours that the model cannot make keep their brightness.
@@ -584,7 +587,7 @@ def _solved(degrees: tuple[int, ...], tints: int, settings, rows):
             channels = zip(weight, jnp.moveaxis(rates, 1, 0), strict=True)
             information = total(w * r[:, None] * r for w, r in channels) + prior * eye
             # The force of a channel's logarithm of exposure on the numbers.
-            pull = weight * rates * (steep * (lit - _DARK))
+            pull = weight * rates * (steep * (lit - DARK))
             whole = information + bright * dims[:, None] * dims
             return cost, slope, whole, information, pull, error
 
@@ -623,7 +626,7 @@ def _solved(degrees: tuple[int, ...], tints: int, settings, rows):
         begin = jnp.zeros_like(steps), jnp.asarray(jnp.inf, start.dtype), *begin
         *_, z, (*_, information, pull, error), _ = jax.lax.while_loop(unfinished, step, begin)
         # The coarser levels, which a prior is about, move with the exposures as well.
-        firm = _inverse(information + (1 / _PRIOR**2 - prior) * eye)
+        firm = _inverse(information + (1 / PRIOR_SD**2 - prior) * eye)
         moved = total(f[:, None] * p for f, p in zip(firm, pull, strict=True))
         common = total(moved[:, None, c] * (doubts[c][:, None] * moved).sum(1) for c in range(3))
         known = _inverse(information - prior * eye + _inverse(before))
@@ -664,7 +667,7 @@ def _halved(level: Seen) -> Seen:
 
 def _noise(values: Colours, known: Mask) -> float:
     """Standard deviation of an encoded channel's noise, by the median  [Immerkær 1996]."""
-    encoded = np.maximum(values, 0) ** _POWER
+    encoded = np.maximum(values, 0) ** POWER
     second = ndimage.convolve1d(ndimage.convolve1d(encoded, [1, -2, 1], 0), [1, -2, 1], 1)
     inside = ndimage.binary_erosion(known, np.ones((3, 3)))
     return float(np.median(np.abs(second[inside]))) / (6 * 0.6745) if inside.any() else 0.0
