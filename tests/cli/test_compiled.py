@@ -180,14 +180,15 @@ compiled._compile = lambda *_: 1 / 0
 from irisjax.numerics import chunks
 from irisjax.ocularist import mixing  # a module that takes names of others
 print(type(mixing.srgb_encode).__name__, float(chunks._concatenate([np.ones(2), np.ones(2)], 3).sum()))
-print(float(compiled.CachedFunction(jax.jit(jax.numpy.linalg.det), "det")(np.diag([2.0, 3.0]))))
+print(float(compiled.CachedFunction(jax.jit(jax.numpy.linalg.det), "det")(np.diag([1.0, 1.0, 2.0, 3.0]))))
 """
 
 
 def test_another_process_finds_programs_and_lapack(folder):
     concatenate = compiled._jit_cached(chunks._concatenate.__wrapped__)
     assert float(concatenate([np.ones(2), np.ones(2)], 3).sum()) == 3
-    CachedFunction(jax.jit(jnp.linalg.det), "det")(np.diag([2.0, 3.0]))
+    # A determinant of more than three rows is LAPACK's.
+    CachedFunction(jax.jit(jnp.linalg.det), "det")(np.diag([1.0, 1.0, 2.0, 3.0]))
     made = files(folder)
     assert len(made) == 2
     call = [sys.executable, "-c", IN_A_PROCESS]
