@@ -89,7 +89,7 @@ class SingleScattering(AbstractIntegrator):
         unused: Any = {"relief": None, "residual": None}
         maps = {} if model.maps is None else model.maps.replace(**unused).present()
         flux = incident_flux(lights, model.eye, tables)
-        return MarchedScene(maps, flux, lights.tint, model.eye), facing
+        return MarchedScene(maps, flux, lights.tint_factors, model.eye), facing
 
     def response(
         self, iris: Iris, aqueous_index: Scalar, bands: Bands, ranges: Scales
@@ -177,13 +177,13 @@ class MarchedScene(eqx.Module):
     Attributes:
         maps: The subsurface map  [F09 Section 6.1]: those of the `IrisMaps` that are present.
         flux: Flux vectors of each light on a grid, see `incident_flux`.
-        tint: Tint of each light.
+        tint: `Lights.tint_factors`.
         eye: The eye.
     """
 
     maps: dict[str, Texture]
     flux: Float[Array, "lights 3 rows columns"]
-    tint: Float[Array, "lights 3"] | None
+    tint: Float[Array, "lights tints"]
     eye: Eye
 
     def at(self, point: Float[Array, "3 pixels"]) -> dict[str, Float[Array, " pixels"]]:
@@ -257,7 +257,6 @@ def _march_rays(
     slant = 1 / jnp.maximum(-(direction * flat).sum(0), 1e-3)
     along = direction * slant + flat  # offset along the iris per depth
     sources = _sources(pixels, facing, direction, scene)
-    tints = jnp.ones((scene.flux.shape[0], 1), slant.dtype) if scene.tint is None else scene.tint
 
     def march(carry, k):
         clear, radiance = carry
@@ -278,18 +277,18 @@ def _march_rays(
             arriving = jnp.exp(-light_depth * light_slant) * survival
             return total + tint[:, None, None] * (source * arriving), None
 
-        zero = jnp.zeros((tints.shape[1], *clear.shape), clear.dtype)
-        arriving = jax.lax.scan(add_light, zero, (*sources, tints))[0]
+        zero = jnp.zeros_like(radiance)
+        arriving = jax.lax.scan(add_light, zero, (*sources, scene.tint))[0]
         radiance = radiance + (clear * scattering) * (inside * slant) * arriving
         # The IPE absorbs a ray that reaches it, even if the stroma is thicker further on.
         clear = jnp.where(bottom < end, clear * jnp.exp(-crossed * slant), 0.0)
         return (clear, radiance), None
 
     clear = jnp.ones((iris.scattering.size, slant.size), slant.dtype)
-    start = (clear, jnp.zeros((tints.shape[1], *clear.shape), clear.dtype))
+    start = (clear, jnp.zeros((scene.tint.shape[1], *clear.shape), clear.dtype))
     radiance = jax.lax.scan(march, start, jnp.arange(n_steps, dtype=slant.dtype))[0][1]
     share = camera_share(pixels, scene.eye)
-    if scene.tint is None:
+    if len(radiance) == 1:
         return (iris.weights @ radiance[0]) * share
     return jnp.einsum("cb,cbp->cp", iris.weights, radiance) * share
 
