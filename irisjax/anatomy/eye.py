@@ -189,8 +189,7 @@ class Eye(eqx.Module):
             )
         if self.pupil_centre is not None and is_known(self.pupil_centre, *radii):
             self._check_centre(np.asarray(self.pupil_centre))
-        slope = 0.0 if self.iris_slope is None else self.iris_slope
-        ring = self.iris_radius, self.limbus_radius, slope
+        ring = self.iris_radius, self.limbus_radius, slope_of(self)
         if self.cornea is not None and is_known(self.cornea, ring, self.iris_depth):
             least_depth = float(_least_depth(self.cornea, *ring))
             if not float(self.iris_depth) > least_depth:
@@ -283,6 +282,11 @@ class Eye(eqx.Module):
         r = safe_sqrt(x * x + y * y)
         rise = self.iris_slope / (jnp.where(r > 0, r, 1.0) * length)
         return jnp.stack([rise * x, rise * y, -jnp.ones_like(x) / length], axis=-1)
+
+
+def slope_of(eye: Eye) -> Any:
+    """Return the slope of the iris, 0 of a flat one."""
+    return 0.0 if eye.iris_slope is None else eye.iris_slope
 
 
 def cornea_of(eye: Eye) -> Cornea:

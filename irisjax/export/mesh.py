@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array
 from scipy import optimize
 
-from irisjax.anatomy.eye import Eye, cornea_of
+from irisjax.anatomy.eye import Eye, cornea_of, slope_of
 from irisjax.anatomy.sclera import sphere
 from irisjax.measure.colour import srgb_encode
 from irisjax.numerics.checks import Range, check_known, check_range, check_whole
@@ -62,8 +62,7 @@ def eye_meshes(eye: Eye, spacing: float = 0.1) -> "dict[str, Trimesh]":
     check_range("spacing", spacing, _SPACING)
     limbus, root, pupil = float(eye.limbus_radius), float(eye.iris_radius), float(eye.pupil_radius)
     around = _around(eye, spacing)
-    slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
-    depth = float(eye.iris_depth)
+    depth, slope = float(eye.iris_depth), float(slope_of(eye))
     meshes, edge = {}, 0.0
     if eye.cornea is not None:
         edge = float(_depth(eye.cornea.anterior, limbus))
@@ -310,8 +309,7 @@ def _moved(
     centre = np.zeros(2) if eye.pupil_centre is None else np.asarray(eye.pupil_centre)
     out = np.asarray(eye.pupil_edge(*(across + centre).T)) - float(eye.pupil_radius)
     across = across * (1 + share.T * out / np.hypot(*across.T)).T + share * centre
-    slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
-    deep = float(eye.iris_depth) + slope * np.hypot(*across.T)
+    deep = float(eye.iris_depth) + float(slope_of(eye)) * np.hypot(*across.T)
     points = np.column_stack([across, deep])
     return points, np.asarray(eye.iris_normal(jnp.asarray(points)), points.dtype), faces
 

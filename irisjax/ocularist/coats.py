@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from irisjax._types import Scalar
-from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.anatomy.eye import Cornea, Eye, slope_of
 from irisjax.numerics.checks import Range, check_range, is_known
 from irisjax.ocularist.cones import Cones
 from irisjax.optics.conicoid import Conicoid
@@ -122,8 +122,7 @@ def prosthesis(pupil_radius: float = PUPIL_RADIUS) -> Eye:
 def profile_of(eye: Eye) -> Cones:
     """The plane or cone of an eye's iris, as a stack of one."""
     radius = jnp.stack([eye.pupil_radius, eye.iris_radius])
-    slope = 0.0 if eye.iris_slope is None else eye.iris_slope
-    return Cones(eye.iris_depth + slope * radius, radius)
+    return Cones(eye.iris_depth + slope_of(eye) * radius, radius)
 
 
 def over(behind: _Values, opacity: _Values, paint: _Values, light: _Values) -> Any:

@@ -11,7 +11,7 @@ import scipy.optimize
 from jaxtyping import Float
 from numpy.typing import ArrayLike
 
-from irisjax.anatomy.eye import Eye
+from irisjax.anatomy.eye import Eye, slope_of
 from irisjax.anatomy.sclera import limbus_depth
 from irisjax.optics.conicoid import from_parts
 from irisjax.photo.photograph import Ellipse, ellipse_through
@@ -237,8 +237,7 @@ def find_pose(
 def iris_points(eye: Eye, x: ArrayLike, y: ArrayLike) -> Float[np.ndarray, "*s 3"]:
     """Return points of the iris above places x, y (mm)."""
     x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
-    slope = 0.0 if eye.iris_slope is None else float(eye.iris_slope)
-    return np.stack([x, y, float(eye.iris_depth) + slope * np.hypot(x, y)], -1)
+    return np.stack([x, y, float(eye.iris_depth) + float(slope_of(eye)) * np.hypot(x, y)], -1)
 
 
 def project_iris_points(
@@ -306,7 +305,6 @@ def _project_outlines(eye: Eye, front: Camera, v):
     """Columns and rows (mm) of limbus and pupil for rows v of what `find_pose` searches for."""
     turn = jnp.linspace(0.0, 2 * jnp.pi, _POINTS, endpoint=False)
     circle = jnp.stack([jnp.cos(turn), jnp.sin(turn)])
-    slope = 0.0 if eye.iris_slope is None else eye.iris_slope
 
     def raised(points, depth):
         return from_parts((*points, jnp.full_like(points[0], depth)))
@@ -317,7 +315,7 @@ def _project_outlines(eye: Eye, front: Camera, v):
         r = jnp.clip(v[5], *_PUPIL_RADII)
         open_ = eqx.tree_at(lambda e: e.pupil_radius, eye, r)  # not checked
         rim = camera.pixel(raised(eye.limbus_radius * circle, limbus_depth(eye)), open_)
-        points = raised(r * circle[:, :: _POINTS // 16], eye.iris_depth + slope * r)
+        points = raised(r * circle[:, :: _POINTS // 16], eye.iris_depth + slope_of(eye) * r)
         hole = project_points(IrisSurface(open_), camera, points)
         # The middle of a picture of two pixels lies between them.
         return jnp.stack(rim, -1) - 0.5, jnp.stack([hole.column, hole.row], -1) - 0.5
