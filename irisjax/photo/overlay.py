@@ -94,15 +94,14 @@ def _contours(values, level: float) -> list[np.ndarray]:
 
 
 def _on_part(found: Posed, column, row):
-    """Rows and columns of the camera's picture nearest to places of the photograph."""
+    """Rows and columns of the camera's picture that have places of the photograph."""
     (x, y), _, reduction = part_geometry(found.boundaries.limbus)
     left, top = found.pose.corner
     rows, columns = found.clear.shape
-    column_in_part, row_in_part = (column - x) / reduction - left, (row - y) / reduction - top
-    return (
-        np.clip(np.rint(row_in_part), 0, rows - 1).astype(int),
-        np.clip(np.rint(column_in_part), 0, columns - 1).astype(int),
-    )
+    # Pixel n of the part has those of the photograph from n to n + 1 times the reduction.
+    row_in_part = np.floor((row - y + 0.5) / reduction).astype(int) - top
+    column_in_part = np.floor((column - x + 0.5) / reduction).astype(int) - left
+    return np.clip(row_in_part, 0, rows - 1), np.clip(column_in_part, 0, columns - 1)
 
 
 def _lamps(found: Lit) -> list[tuple[float, float]]:
