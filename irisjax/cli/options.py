@@ -113,6 +113,8 @@ class Group:
         dataclasses.dataclass(frozen=True, kw_only=True)(cls)
 
     def __post_init__(self) -> None:
+        if {"resume", "overwrite"} <= self.typed:
+            raise ValueError("--resume continues a run, --overwrite starts again: give one of them")
         for name, (other, values) in self.ONLY_WITH.items():
             if name in self.typed and not self.applies(name):
                 either = f" {' or '.join(values)}" if values else ""

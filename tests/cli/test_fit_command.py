@@ -278,6 +278,10 @@ def test_short_chains_end_with_status_three(irisjax, eye, sampled, monkeypatch):
         (("{eye}", "{eye}"), "given twice; it would count as two measurements"),
         (("{eye}", "--flows", "flows"), "--flows means something only with --batch"),
         (("{eye}", "--resume"), "--resume means something only with -o FOLDER"),
+        (
+            ("{eye}", "-o", "fits", "--resume", "--overwrite"),
+            "--resume continues a run, --overwrite starts again: give one of them",
+        ),
         (("{eye}", "--illuminant", "A"), "--illuminant means something only with --quantity"),
         (("{eye}", "--prior", "gain=flat"), "'flat' is no prior"),
         (("{eye}", "--walkers", "3"), "--walkers: 3 is outside [4, 4096]"),
