@@ -2,13 +2,21 @@
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from irisjax._types import Scalar
 from irisjax.anatomy.eye import Eye, sclera_of
 from irisjax.numerics.angle import arctan2
+from irisjax.numerics.checks import Range, check_fields
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Conicoid, Vector, parts
+
+_VEIN_LIMITS = {
+    "depth": Range(0, np.inf, "mm"),
+    "cover": Range(0, np.inf),
+    "deep": Range(0, np.inf),
+}
 
 
 class VeinMap(eqx.Module):
@@ -28,6 +36,9 @@ class VeinMap(eqx.Module):
     depth: Float[Array, "azimuths polars"]
     cover: Float[Array, "azimuths polars"]
     deep: Float[Array, "azimuths polars"]
+
+    def __check_init__(self) -> None:
+        check_fields(self, _VEIN_LIMITS)
 
 
 def sclera_centre(eye: Eye) -> Scalar:

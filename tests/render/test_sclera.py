@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg
 
 from irisjax.anatomy.eye import Eye, Sclera
-from irisjax.anatomy.sclera import limbus_depth, meet_sclera, sclera_centre, vein_place
+from irisjax.anatomy.sclera import VeinMap, limbus_depth, meet_sclera, sclera_centre, vein_place
 from irisjax.grow.vessels import veins
 from irisjax.measure.colour import colour_of, tristimulus_matrix
 from irisjax.render.camera import Camera
@@ -232,3 +232,18 @@ def test_an_eye_without_sclera():
         veins(Eye(sclera=None), key=jax.random.key(0))
     with pytest.raises(ValueError, match="no sclera"):
         sclera_centre(Eye(sclera=None))
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("depth", -0.01, r"depth = -0.01 mm is outside \[0, inf\) mm"),
+        ("cover", -0.2, r"cover = -0.2 is outside \[0, inf\)"),
+        ("deep", np.nan, r"deep = nan is outside \[0, inf\)"),
+    ],
+)
+def test_maps_of_vessels_that_none_can_have_are_refused(field, value, message):
+    """A negative depth was taken for none."""
+    maps = dict.fromkeys(("depth", "cover", "deep"), jnp.zeros((4, 4)))
+    with pytest.raises(ValueError, match=message):
+        VeinMap(**maps | {field: jnp.full((4, 4), value)})
