@@ -19,6 +19,7 @@ from irisjax.grow.presets import PRESETS
 from irisjax.photo.clone import (
     NOTHING,
     CloneSettings,
+    Fitted,
     Given,
     Sampled,
     clone_eye,
@@ -51,7 +52,7 @@ def main(key, quick=False, out=RESULTS):
     eyes = [(colour, contrast) for contrast in CONTRASTS for colour in PRESETS]
     for colour, contrast in tqdm(eyes[: 1 if quick else None], unit="eye", disable=quick):
         iris, maps = PRESETS[colour](EYE, key=key)
-        maps = _raised(maps, contrast)
+        maps = raised(maps, contrast)
         scene = _scene(iris, maps)
         picture = read_back(np.concatenate([b.pixels for b in draw_bands(scene, samples=2)]))
         given = Given(*outlines_of(scene)) if contrast > 2 else NOTHING
@@ -62,7 +63,7 @@ def main(key, quick=False, out=RESULTS):
         rms = 100 * np.concatenate([difference.rms, difference.rms_of_pigments])
         off = mean_misfit(found.fit, found.windows)
         pictures.append((colour, contrast, doubts, off, *map(float, rms)))
-        for name, value in _truth(iris, maps, found).items():
+        for name, value in mean_pigments(iris, maps, EYE, found).items():
             e = found.posterior.estimates[name]
             intervals.append((colour, contrast, name, value, e.low, e.median, e.high))
     about = ("presets drawn by the package's renderer, and cloned", f"{SIZE} px")
@@ -70,16 +71,16 @@ def main(key, quick=False, out=RESULTS):
     write(out / "clone_presets_pictures.csv", (*about, "differences: %"), PICTURES, pictures)
 
 
-def _raised(maps: IrisMaps, power: float) -> IrisMaps:
+def raised(maps: IrisMaps, power: float) -> IrisMaps:
     """Maps with deviations from their geometric means raised to a power."""
 
-    def raised(values):
+    def of_power(values):
         middle = jnp.exp(jnp.log(values).mean())
         return middle * (values / middle) ** power
 
     fields = "stroma_depth", "eumelanin", "pheomelanin"
     held = {name: value for name in fields if (value := getattr(maps, name)) is not None}
-    return maps.replace(**{name: raised(value) for name, value in held.items()})
+    return maps.replace(**{name: of_power(value) for name, value in held.items()})
 
 
 def _scene(iris: Iris, maps: IrisMaps) -> Scene:
@@ -88,11 +89,11 @@ def _scene(iris: Iris, maps: IrisMaps) -> Scene:
     return Scene(iris, maps, EYE, None, Environment.studio(), camera)
 
 
-def _truth(iris: Iris, maps: IrisMaps, found: Sampled) -> dict[str, float]:
+def mean_pigments(iris: Iris, maps: IrisMaps, eye: Eye, found: Fitted) -> dict[str, float]:
     """Means over the iris of what the clone estimates. Melanin adds up, and so does scattering: a
     stroma that is thicker than the clone's scatters as much more.
     """
-    area = np.asarray(EYE.ring_area(cell_centres(maps.shape)[1]))
+    area = np.asarray(eye.ring_area(cell_centres(maps.shape)[1]))
     ones = np.ones(maps.shape)
 
     def mean(values) -> float:

@@ -31,6 +31,7 @@ from irisjax.render.lights import Lights
 from irisjax.render.outside import bulk_reflectance
 from irisjax.render.picture import draw
 from irisjax.render.scene import Scene
+from irisjax.tissue.maps import IrisMaps
 
 WHITE = 0.3, 0.97
 """Linear values between which the brightest tenth of the white begins: not burnt out, not dark."""
@@ -57,14 +58,16 @@ class Truth(NamedTuple):
 
 
 def photographed(
-    random: np.random.Generator, tables: Callable[[Scene], Illumination | None] = Scene.tables
+    random: np.random.Generator,
+    tables: Callable[[Scene], Illumination | None] = Scene.tables,
+    grow: Callable[..., IrisMaps] = procedural,
 ) -> tuple[Truth, Photograph]:
     """An eye of the priors, and its photograph as it is read from a file of 8 bits: the first whose
     white is well exposed. Posteriors stay right under any choice that the picture itself decides.
     """
     while True:
         values = {n: float(PRIORS[n].value(random.standard_normal())) for n in FREE_NAMES}
-        scene = _scene(values, random)
+        scene = _scene(values, random, grow)
         light = np.maximum(np.asarray(draw(scene, tables(scene)), np.float64), 0)
         gains = np.array([values["red_gain"], 1.0, values["blue_gain"]])
         linear = values["exposure"] * gains * light ** values["contrast"]
@@ -110,12 +113,14 @@ def _white_of_package() -> np.ndarray:
     return np.asarray(weights @ bulk_reflectance(Sclera(), BAND_GRID))
 
 
-def _scene(values: dict[str, float], random: np.random.Generator) -> Scene:
+def _scene(
+    values: dict[str, float], random: np.random.Generator, grow: Callable[..., IrisMaps]
+) -> Scene:
     """An iris of these values, its structure, lamp and camera drawn."""
     eye = Eye(pupil_radius=jnp.asarray(random.uniform(*PUPIL)))
     height = average_thickness(eye) * np.exp(PEOPLE * random.standard_normal())
     base = usual_iris(height)
-    maps = procedural(base, eye, key=jax.random.key(int(random.integers(2**31))))
+    maps = grow(base, eye, key=jax.random.key(int(random.integers(2**31))))
     iris = iris_of_concentrations({n: jnp.asarray(v) for n, v in values.items()}, base)
     white = whites_of_people(random.standard_normal((1, 3)))[0] / _white_of_package()
     eye = eye.replace(sclera=Sclera(tint=jnp.asarray(white)))

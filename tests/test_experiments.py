@@ -30,6 +30,7 @@ SLOW = {
     "clone_presets",
     "clone_search",
     "clone_thickness",
+    "clone_uneven",
     "exact_against_montecarlo",
     "cube_posteriors",
     "cubes",

@@ -383,8 +383,13 @@ def report(
                 "no highlight on the cornea shows a lamp: light from all round is assumed; if the "
                 "picture shows no cornea, painted or a texture, give --media flat"
             )
+    melanin = found.abl_melanin() if isinstance(found, cloning.Coloured) else None
+    if melanin is not None:
+        mean, low, high = melanin
+        print(f"melanin of the ABL, mean of the texels: {mean:.3g} ({low:.3g} to {high:.3g}) mg/ml")
     if isinstance(found, cloning.Sampled) and pigments_withheld(found, doubts):
-        print("the pigments are not printed, for the doubts above; clone.json has them")
+        which = "the pigments are" if melanin is None else "otherwise the pigments are"
+        print(f"{which} not printed, for the doubts above; clone.json has them")
     elif isinstance(found, cloning.Sampled):
         print(f"{'parameter':<20}{'median':>10}{'95 %':>22}{'contraction':>13}")
         for name, e in found.posterior.estimates.items():

@@ -31,6 +31,7 @@ from irisjax.photo.pigments import CONCENTRATIONS
 from irisjax.plot.beside import Later, here
 
 _FIRST_COLUMNS = ("file", "status", "doubts")
+_ENDS = "", "_low", "_high"  # of the names of a value's and its interval's columns
 _SINGLE_OPTIONS = ("limbus", "pupil", "second", "maps", "freckles", "visible")  # of one photograph
 _SHEET_PICTURES = "side_by_side.png", COLOUR_FILES[1], OVERLAY  # of a folder, the best first
 
@@ -143,7 +144,10 @@ def _row(name: str, run: CloneRun, key: jax.Array) -> EyeRow:
     if isinstance(stage, cloning.Sampled) and not pigments_withheld(stage, doubts):
         for pigment in CONCENTRATIONS:
             e = stage.posterior.estimates[pigment]
-            cells |= {pigment: e.median, f"{pigment}_low": e.low, f"{pigment}_high": e.high}
+            values = e.median, e.low, e.high
+            cells |= zip((f"{pigment}{end}" for end in _ENDS), values, strict=True)
+    if isinstance(stage, cloning.Coloured) and (melanin := stage.abl_melanin()) is not None:
+        cells |= zip((f"texels_abl_melanin{end}" for end in _ENDS), melanin, strict=True)
     row = _first_cells(name, DOUBTFUL if doubts else OK, sentences)
     return row | {column: f"{value:.5g}" for column, value in cells.items()}
 
@@ -167,7 +171,7 @@ def _colour_cells(colours: EyeColour | None) -> dict[str, object]:
     for name, region in named.items():
         start = name.replace(" ", "_")
         for component, *values in zip("Lab", region.lab, region.low, region.high, strict=True):
-            columns = (f"{start}_{component}{end}" for end in ("", "_low", "_high"))
+            columns = (f"{start}_{component}{end}" for end in _ENDS)
             cells |= zip(columns, values, strict=True)
         cells[f"{start}_share"] = region.share
     return cells

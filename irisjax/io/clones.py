@@ -171,6 +171,9 @@ def summary_of(
             "correlations": {f"{NAMES[i]}, {NAMES[j]}": texels.correlation[i, j] for i, j in pairs},
             "table_error": texels.error,
         }
+        if isinstance(clone, Coloured) and (melanin := clone.abl_melanin()) is not None:
+            values = dict(zip(("mean", "q2.5", "q97.5"), melanin, strict=True))
+            fields["texels"]["abl_melanin"] = values | {"unit": "mg/ml"}
     if isinstance(clone, Sampled):
         sampled = clone.posterior
         fields |= {

@@ -6,6 +6,7 @@ user.
 """
 
 import dataclasses
+import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -357,6 +358,17 @@ class Coloured(Fitted):
     def maps(self) -> IrisMaps:
         """Return the maps of the iris."""
         return super().maps() if self.texels is None else self.texels.maps
+
+    def abl_melanin(self) -> tuple[float, float, float] | None:
+        """Return the mean concentration of the ABL's melanin by the texels (mg/ml) and its 95 %
+        interval; `None` without texels or colours.
+        """
+        if self.texels is None or self.photograph.grey:
+            return None
+        mean, sd = self.texels.abl_melanin(self.pose.eye)
+        # Texels share what the fit does not know: blood, white balance, room.
+        sd = math.hypot(sd, pigments.sd_of_abl_melanin(self.fit))
+        return mean, mean * math.exp(-1.96 * sd), mean * math.exp(1.96 * sd)
 
 
 @dataclass(frozen=True)

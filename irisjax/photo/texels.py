@@ -22,6 +22,7 @@ from PIL import Image
 from scipy import ndimage
 from scipy.stats import qmc
 
+from irisjax.anatomy.eye import Eye
 from irisjax.numerics.checks import Range
 from irisjax.numerics.chunks import map_chunks, map_rows
 from irisjax.numerics.interpolation import chebyshev
@@ -38,7 +39,7 @@ from irisjax.render.radiative import RadiativeIntegrator
 from irisjax.render.scene import Scene
 from irisjax.render.shading import IrisModel, scale_ranges
 from irisjax.tissue.iris import Iris
-from irisjax.tissue.maps import IrisMaps, Scales
+from irisjax.tissue.maps import IrisMaps, Scales, cell_centres
 from irisjax.tissue.pigments import extinction
 from irisjax.transport.radiative.tabulated import DEEPEST
 
@@ -97,6 +98,8 @@ class OwnPigments(NamedTuple):
             doubts about the exposures and the process (`PROCESS_DOUBT`).
         common: The part of `deviations` that is by the exposures and the process, median of all
             texels: an error that they have in common.
+        melanin_sd: Standard deviation of the logarithm of the ABL's melanin, both together, by the
+            same as `deviations`: median of all texels.
         correlation: Median correlation of the errors of each pair of `NAMES`, (3, 3).
         hidden: Cells that the photograph does not show, (angles, radii), filled from beside.
         outside: Share of pixels whose colour is none that the model can make.
@@ -110,6 +113,7 @@ class OwnPigments(NamedTuple):
     maps: IrisMaps
     deviations: Float[np.ndarray, "3 angles radii"]
     common: Float[np.ndarray, "3"]
+    melanin_sd: float
     correlation: Float[np.ndarray, "3 3"]
     hidden: Bool[np.ndarray, "angles radii"]
     outside: float
@@ -117,6 +121,19 @@ class OwnPigments(NamedTuple):
     gain: float
     error: float
     light: Any
+
+    def abl_melanin(self, eye: Eye) -> tuple[float, float]:
+        """Return the mean concentration of the ABL's melanin (mg/ml) over the area that the
+        photograph shows, and the standard deviation of its logarithm: a texel's, as if all had the
+        same error.
+
+        An iris that is fitted as an even one has the melanin with which it has the mean colour;
+        where melanin varies, the dark places hold more of it than they take of the light.
+        """
+        area = np.asarray(eye.ring_area(cell_centres(self.hidden.shape)[1])) * ~self.hidden
+        held = self.iris.layer_concentrations()
+        melanin = sum(held[f"abl_{n}"] * np.asarray(getattr(self.maps, n)) for n in NAMES[1:])
+        return float(np.average(melanin, weights=area)), self.melanin_sd
 
 
 class Seen(NamedTuple):
@@ -341,6 +358,10 @@ def colour_iris(
     filled = fill_by_texture(np.concatenate([logs, residual]), hidden)
     maps = maps_of(np.clip(filled[: len(NAMES)], low, high), filled[len(NAMES) :])
     covariance = local.covariance[known] + processes
+    held = iris.layer_concentrations()
+    melanins = np.exp(local.logs[known][:, 1:]) * [held[f"abl_{name}"] for name in NAMES[1:]]
+    share = melanins / melanins.sum(1, keepdims=True)
+    of_melanin = np.einsum("ni,nij,nj->n", share, covariance[:, 1:, 1:], share)
     sds = np.sqrt(np.einsum("...ii->...i", covariance))
     correlation = np.median(covariance / (sds[:, :, None] * sds[:, None]), axis=0)
     sds[:, 1:] = np.sqrt(sds[:, 1:] ** 2 + _variance_by_exchange(covariance[:, 1:, 1:]))
@@ -351,6 +372,7 @@ def colour_iris(
         maps,
         polar(deviations, known),
         np.sqrt(np.median(local.common[known], axis=0) + np.diag(processes)),
+        float(np.sqrt(np.median(of_melanin))),
         correlation,
         hidden,
         float((np.abs(off).max(-1) > OUTSIDE).mean()),

@@ -294,7 +294,7 @@ def test_what_the_model_cannot_follow_is_doubtful(capsys, tmp_path):
     assert all(f"WARNING: {doubt}" in err for doubt in doubts)
     assert "crossed polarisers" in err and "light from all round is assumed" in err
     assert "of 2 eyes the one in columns 445 to 754, rows 295 to 604 is cloned (--eye" in out
-    assert "the pigments are not printed" in out
+    assert "the pigments are not printed" in out and "mean of the texels" not in out
     assert "camera: 5.7 (0.0 to 17.2) degrees" in out and str(tmp_path) in out
     # The thickness by one response is doubted where texels have none of their own.
     usual = "the thickness is that of a usual iris, whose response is 0.05"
@@ -381,6 +381,9 @@ def test_a_whole_clone(done, tmp_path, outlined, photo):
     found = _summary(tmp_path)
     assert set(found) >= SUMMARY | POSED | {"posterior", "sampling", "estimate", "units"}
     assert found["sampling"]["converged"]
+    melanin = found["texels"]["abl_melanin"]
+    printed = f"mean of the texels: {melanin['mean']:.3g} ({melanin['q2.5']:.3g} to "
+    assert printed in out and melanin["q2.5"] < melanin["mean"] < melanin["q97.5"]
     for entry in found["posterior"].values():
         assert entry["q2.5"] <= entry["median"] <= entry["q97.5"] and entry["sd"] > 0
     scene = read_scene(tmp_path / "scene.toml").scene()

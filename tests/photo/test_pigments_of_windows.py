@@ -28,6 +28,7 @@ from irisjax.photo.pigments import (
     parameter_values,
     predicted_colours,
     sample_pigments,
+    sd_of_abl_melanin,
     simplex,
     strange_white,
 )
@@ -231,6 +232,13 @@ def test_estimates_are_those_of_the_samples_and_hold_the_truth(windows, fit, mon
         # Windows without noise: what the camera has free still hides the pigments.
         assert low < float(true[name]) < high, name
         assert estimate.contraction == pytest.approx(1 - drawn.z[:, i].var())
+
+
+def test_the_melanin_of_the_abl_is_as_sure_as_draws_of_the_fit(fit):
+    sure = fit._replace(covariance=1e-4 * fit.covariance)  # the approximation is a linear one
+    draws = np.random.default_rng(2).multivariate_normal(sure.z, sure.covariance, 4000).T
+    both = [pigments.PRIORS[n].value(z) for n, z in zip(CONCENTRATIONS[:2], draws, strict=False)]
+    assert sd_of_abl_melanin(sure) == pytest.approx(np.log(sum(both)).std(), rel=0.05)
 
 
 @pytest.mark.peer
