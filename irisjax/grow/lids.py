@@ -66,8 +66,8 @@ def _lashes(rng, lids: Lids, centre) -> np.ndarray:
     place = jnp.asarray(np.stack([s, beyond]))
     x, y, z = np.asarray(_roots(lids, jnp.asarray(upper), place, centre))
     path = x[:, None] + along * side, y[:, None] + along * up, z[:, None] - along * out
-    radius = np.where(upper, 0.048, 0.034) * rng.uniform(0.65, 1.15, count)
-    return np.stack([*path, np.outer(radius, (1.02 - t) ** 0.65)], -1)
+    radius = np.where(upper, 0.05, 0.034) * rng.uniform(0.65, 1.15, count)
+    return np.stack([*path, np.outer(radius, 1.02 - t)], -1)
 
 
 @eqx.filter_jit
