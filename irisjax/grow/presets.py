@@ -10,6 +10,7 @@ from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.procedural import procedural
 from irisjax.numerics.checks import check_known
+from irisjax.numerics.streams import one_key
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps
 from irisjax.transport.process import ILIT_2006, AbstractProcess, Ilit
@@ -110,7 +111,7 @@ def preset(
     arguments: dict[str, Any] = {"relief": 0.13 * usual / thickness, "margins": 0.4}
     arguments |= _FEATURES.get(colour, {}) | dict(features or {})
     # Presets of one key have patterns of their own.
-    key = jax.random.fold_in(key, list(_PIGMENTS).index(colour))
+    key = jax.random.fold_in(one_key(key), list(_PIGMENTS).index(colour))
     return iris, procedural(iris, eye, shape=shape, **arguments, key=key)
 
 

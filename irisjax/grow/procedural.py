@@ -34,6 +34,7 @@ from irisjax.grow.noise import (
 )
 from irisjax.numerics.checks import Range, check_range, is_known
 from irisjax.numerics.interpolation import smoothstep
+from irisjax.numerics.streams import one_key
 from irisjax.tissue.iris import Iris
 from irisjax.tissue.maps import IrisMaps, cell_centres
 
@@ -132,6 +133,7 @@ def procedural(
         ValueError: A feature is negative, the shape is below (16, 8), or the ring is narrower than
             `NARROWEST`.
     """
+    one_key(key)
     arguments, others = locals(), ("iris", "eye", "shape", "profile", "key")
     features = {name: value for name, value in arguments.items() if name not in others}
     for name, value in features.items():

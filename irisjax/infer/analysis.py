@@ -18,6 +18,7 @@ from irisjax.infer.model_comparison import DRAWS, Interval, ProcessComparison, c
 from irisjax.infer.parameters import unit_of
 from irisjax.infer.posterior import Chains, check_run, mixing, sample
 from irisjax.infer.problem import Problem, predicted, reported
+from irisjax.numerics.streams import one_key
 
 UNMOVED = 0.3
 """Contraction below which a posterior is mostly the prior."""
@@ -106,7 +107,7 @@ def analyse(
     arguments these are, before any work.
     """
     check_run(problem, store, walkers=walkers, resume=resume, key=key)
-    best = fit(problem, key=jax.random.fold_in(key, 1))
+    best = fit(problem, key=jax.random.fold_in(one_key(key), 1))
     other = problem.by(model_comparison.other_of(problem.process))
     best_by_other = fit(other, key=jax.random.fold_in(key, 5))
     chains = sample(

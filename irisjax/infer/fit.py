@@ -16,6 +16,7 @@ from irisjax._types import PRNGKey
 from irisjax.infer.least_squares import Minimum, least_squares, levenberg_marquardt
 from irisjax.infer.problem import Problem
 from irisjax.numerics.checks import check_whole
+from irisjax.numerics.streams import one_key
 from irisjax.transport.solution import RESULTS, raise_failure
 
 MISFIT = 1e-6
@@ -138,6 +139,8 @@ def fit(
     elif key is None:
         to_do = "give key=jax.random.key(...), or starts=1"
         raise ValueError(f"starts={starts} draws all but the first at random: {to_do}")
+    else:
+        one_key(key)
     solution = _fit(problem.unnamed(), solver, start, key, use_priors, starts, rounds, max_steps)
     return raise_failure(solution, solution.status) if throw else solution
 

@@ -20,7 +20,7 @@ from irisjax.infer.fit import Fit, fit
 from irisjax.infer.importance import EFFECTIVE, ImportanceSample, importance_sample
 from irisjax.infer.parameters import OF_POWER_LAW, kind
 from irisjax.infer.problem import Problem, pointwise, predicted, reported, solvers_of
-from irisjax.numerics.streams import words_of
+from irisjax.numerics.streams import one_key, words_of
 from irisjax.tissue.scattering import PowerLaw
 from irisjax.transport.process import DEPTH_RESOLVED, ILIT_2006, AbstractProcess, Ilit
 from irisjax.transport.radiative.adding import AddingDoubling
@@ -177,7 +177,7 @@ def compare_models(
     results: list[Assessment] = []
     for i, (name, model) in enumerate(candidates.items()):
         report = functools.partial(progress or (lambda name, rounds: None), name)
-        fit_key, sample_key, score_key = jax.random.split(jax.random.fold_in(key, i), 3)
+        fit_key, sample_key, score_key = jax.random.split(jax.random.fold_in(one_key(key), i), 3)
         report(0)
         random = np.random.RandomState(words_of(sample_key))
         evidence = importance_sample(model.log_density, fit(model, key=fit_key), random, report)

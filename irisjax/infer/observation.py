@@ -115,15 +115,20 @@ def spectrum(
         if bands is None and boxcar is None:
             bands = getattr(wavelengths, "bandwidth", None)
         wavelengths, values = wavelengths.wavelengths, wavelengths.values
+    if np.ma.is_masked(values) or np.ma.is_masked(wavelengths):
+        raise ValueError(f"{name}: some values are masked; leave them out with their wavelengths")
     grid, y = np.asarray(wavelengths, np.float64), np.asarray(values, np.float64)
-    if y.ndim == 2 and y.shape[1]:
+    if grid.ndim != 1 or y.shape[:1] != grid.shape or y.ndim > 2 or (grid.size and not y.size):
+        message = f"{y.shape} values for {grid.shape} wavelengths; need one for each"
+        raise ValueError(f"{name}: {message}, or scans of shape (wavelengths, scans)")
+    if y.ndim == 2:
         y, scatter = mean_of_scans(y)
         sd = scatter if sd is None and covariance is None else sd
-    if grid.ndim != 1 or y.shape != grid.shape:
-        message = f"{y.shape} values for {grid.shape} wavelengths; need one for each"
-        raise ValueError(f"{name}: {message}")
     order = np.argsort(grid, kind="stable")
     grid, y = grid[order], y[order]
+    for i in np.flatnonzero(np.diff(grid) == 0)[:1]:
+        advice = "average the two, or give scans of shape (wavelengths, scans)"
+        raise ValueError(f"{name}: wavelengths must increase, {grid[i]:g} nm is twice: {advice}")
     check_wavelengths(grid)
     check_cosine("cos_incidence", cos_incidence)
     try:

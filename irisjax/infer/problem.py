@@ -236,6 +236,10 @@ class Problem(eqx.Module):
         return tuple(models), status
 
 
+def _names_in(names: Iterable[str]) -> tuple[str, ...]:
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
 def problem(
     observations: Observation | Sequence[Observation],
     *,
@@ -269,7 +273,8 @@ def problem(
         ValueError: For wrong names or values, and more than 1,000 of these with a discrepancy.
     """
     data = (observations,) if isinstance(observations, Observation) else tuple(observations)
-    fixed, priors, separate = dict(fixed or {}), dict(priors or {}), tuple(separate)
+    fixed, priors, separate = dict(fixed or {}), dict(priors or {}), _names_in(separate)
+    free = None if free is None else _names_in(free)
     if not data:
         raise ValueError("no observations")
     for name in (*(free or ()), *fixed, *priors, *separate):
@@ -278,7 +283,7 @@ def problem(
         check_range(name, value, PARAMETERS[name].allowed)
         if free is not None and name in free:
             raise ValueError(f"{name} is both free and fixed")
-    requested = DEFAULT_FREE if free is None else tuple(free)
+    requested = DEFAULT_FREE if free is None else free
     names = [n for n in PARAMETERS if n in requested and n not in fixed]
     if not names:
         raise ValueError(f"nothing is free; choose from {', '.join(PARAMETERS)}")

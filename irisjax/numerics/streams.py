@@ -19,23 +19,26 @@ def key_of(seed: int) -> PRNGKey:
     return jax.random.key(seed, impl="threefry2x32")
 
 
+def one_key(key: Any) -> PRNGKey:
+    """Return `key`; raise `ValueError` unless it is one as `jax.random.key` makes."""
+    of_keys = isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key)
+    if not of_keys or key.ndim:
+        raise ValueError("key must be one new-style key, as made by jax.random.key(seed)")
+    return key
+
+
 def check_key(key: Any) -> PRNGKey:
     """Return `key`; raise `ValueError` unless it is one threefry key as `jax.random.key` makes."""
     if key is None:
         raise ValueError("MonteCarlo needs a key: pass key=jax.random.key(seed)")
-    if (
-        not (isinstance(key, jax.Array) and jnp.issubdtype(key.dtype, jax.dtypes.prng_key))
-        or key.ndim
-    ):
-        raise ValueError("key must be one new-style key, as made by jax.random.key(seed)")
-    if "threefry" not in str(jax.random.key_impl(key)):
+    if "threefry" not in str(jax.random.key_impl(one_key(key))):
         raise ValueError(f"key must be of the threefry2x32 kind, got {jax.random.key_impl(key)}")
     return key
 
 
 def words_of(key: PRNGKey) -> list[int]:
     """Return the numbers of a key, which seed NumPy's generators."""
-    return [int(word) for word in np.ravel(jax.random.key_data(key))]
+    return [int(word) for word in np.ravel(jax.random.key_data(one_key(key)))]
 
 
 def fold_in_words(k0: Word, k1: Word, count: Word) -> tuple[Word, Word]:

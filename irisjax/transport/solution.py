@@ -18,7 +18,7 @@ class RESULTS(eqx.Enumeration):
     successful = ""
     invalid_input = (
         "a layer's optical depth is negative or not finite, or an index does not keep to the order "
-        "of media the iris was made with"
+        "of media the iris was made with, or a wavelength is outside the pigment tables"
     )
     ill_conditioned = (
         "the stroma scatters so often before it absorbs that this precision loses count; compute "

@@ -283,7 +283,12 @@ by_ilit = partial(ij.problem, ONES)
         (lambda: ij.spectrum(TWO, [0.1, np.nan]), "the value at 410 nm is not a finite number"),
         (lambda: ij.spectrum([300.0, 410.0], [0.1, 0.1]), "300 nm is outside the pigment tables"),
         (lambda: ij.spectrum([400.0, 400.0], [0.1, 0.1]), "must increase"),
+        (lambda: ij.spectrum([400.0, 410.0, 400.0], [0.1] * 3), "400 nm is twice: average the two"),
         (lambda: ij.spectrum(TWO, [0.1]), "need one for each"),
+        (lambda: ij.spectrum(TWO, [[0.1, 0.2]] * 3), r"\(3, 2\) values for \(2,\) wavelengths"),
+        (lambda: ij.spectrum(TWO, np.ones((2, 0))), r"\(2, 0\) values for \(2,\) wavelengths"),
+        (lambda: ij.spectrum([TWO], [TWO]), r"\(1, 2\) values for \(1, 2\) wavelengths"),
+        (lambda: ij.spectrum(TWO, np.ma.masked_less([0.1, 0.2], 0.15)), "some values are masked"),
         (lambda: ij.spectrum(TWO, [0.1, 0.1], [0.1, 0.0]), "standard deviation at 410 nm is 0"),
         (lambda: ij.spectrum(TWO), "wavelengths and values, or one object"),
         (lambda: ij.spectrum(READ, 0.01), "wavelengths and values, or one object"),
@@ -292,6 +297,11 @@ by_ilit = partial(ij.problem, ONES)
 def test_wrong_problems_and_data_are_named(state, message):
     with pytest.raises(ValueError, match=message):
         state()
+
+
+def test_a_single_name_is_one_parameter():
+    assert by_ilit(free="gain").free == by_ilit(free=iter(["gain"])).free == ("gain",)
+    assert ij.problem([ONES, ONES], free="gain", separate="gain").free == ("gain@1", "gain@2")
 
 
 def test_a_covariance_stands_for_the_scatter_of_scans():

@@ -37,6 +37,7 @@ def test_uniform_is_never_an_end():
     ("key", "message"),
     [
         (None, "needs a key"),
+        (0, "new-style"),
         (jax.random.PRNGKey(0), "new-style"),
         (jax.random.split(jax.random.key(0)), "one new-style key"),
         (jax.random.key(0, impl="rbg"), "threefry"),
