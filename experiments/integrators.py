@@ -129,7 +129,7 @@ def _models(iris, thickness, mu, exits):
     def marched(scale):
         maps = {"stroma_depth": jnp.full((2, 2), scale * iris.stroma_thickness)}
         light = jnp.broadcast_to(towards[:, None, None], (1, 3, 2, 2))
-        data = MarchedScene(maps, light, None, Eye(cornea=None, sclera=None))
+        data = MarchedScene(maps, light, jnp.ones((len(light), 1)), Eye(cornea=None, sclera=None))
         return response.shade(pixels, None, (data, None)) / mu
 
     ilit, _ = solved(ij.IlitExact(24))
