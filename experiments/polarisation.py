@@ -75,7 +75,7 @@ def _spectra(level, fraction, grid):
             ij.observe(
                 iris,
                 ij.Analyser(grid, setting, cos_exit=where, first_surface=False),
-                ij.POLARISED,
+                ij.RadiativeExact(process=ij.POLARISED),
             ).values
             for setting in ("crossed", "parallel")
         )
