@@ -318,7 +318,7 @@ def _displacement(direction: Parts, normal: Parts) -> Array:
 
 def _directed(flux: Parts) -> Parts:
     """Unit vectors along fluxes; straight into the eye where the flux is 0 or comes from behind."""
-    length = jnp.sqrt(sum(f * f for f in flux))
+    length = safe_sqrt(jnp.asarray(sum(f * f for f in flux)))
     lit = (length > 0) & (flux[2] > 0.05 * length)
     x, y, z = (f / jnp.where(lit, length, 1.0) for f in flux)
     return jnp.where(lit, x, 0.0), jnp.where(lit, y, 0.0), jnp.where(lit, z, 1.0)

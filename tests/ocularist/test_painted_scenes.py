@@ -5,6 +5,7 @@ kept, derivatives.
 import dataclasses
 import functools
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -231,6 +232,20 @@ def test_derivatives_by_colour_and_opacity_are_those_of_finite_differences():
             assert abs(numeric) > 1e-4
             assert float(slopes[i][j]) == pytest.approx(numeric, rel=1e-6)
     assert np.isfinite(float(slopes[2]))
+
+
+def test_where_no_light_arrives_the_derivative_by_it_is_a_number():
+    """It was none in every picture with a place in the shade."""
+    painted, pixels = scene(coat("base")).integrator, iris_pixels(SOME[:8])
+    half_dark = eqx.tree_at(lambda t: t.flux, tables(), tables().flux.at[:, :3].set(0.0))
+
+    @jax.jit
+    @jax.grad
+    def slope(irradiance):
+        lamp = Lights.distant(0.6, 2.2, irradiance)
+        return painted.paint(painted.base(pixels, lamp, EYE, half_dark)).sum()
+
+    assert np.isfinite(float(slope(3.0)))
 
 
 def test_white_paint_is_a_white_sheet():
