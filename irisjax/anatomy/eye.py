@@ -8,6 +8,7 @@ import dataclasses
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -16,12 +17,13 @@ from jaxtyping import Float
 from irisjax._types import Numbers, Scalar, Spectrum, float_field, optional_field
 from irisjax.anatomy.lids import Lids
 from irisjax.anatomy.media import AQUEOUS, CORNEA, INDEX, Media
-from irisjax.numerics.checks import Range, check_fields, is_known
+from irisjax.numerics.checks import Range, check_fields, check_range, is_known
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Conicoid, Vector, parts
 
 EYE_LIMITS = {
     "index": INDEX,
+    "scatter": Range(0, 1e12, "nm⁴"),
     "aqueous_index": INDEX,
     "iris_depth": Range(2.5, 8, "mm"),
     "iris_slope": Range(-0.5, 0.5),
@@ -46,6 +48,7 @@ EYE_LIMITS = {
     "attenuation": Range(0, 1, "1/mm"),
 }
 """Allowed range of each number of an eye and its parts."""
+_CORNEAL_RADIUS = Range(3, 100, "mm")
 
 
 class Cornea(eqx.Module):
@@ -72,6 +75,12 @@ class Cornea(eqx.Module):
     def f09(cls) -> "Cornea":
         """Make F09's single surface, R = 7.8 mm, p = 0.75; for `Eye` with `aqueous_index=1.376`."""
         return cls(posterior=None, index=jnp.asarray(1.376))
+
+    def __check_init__(self) -> None:
+        check_fields(self, EYE_LIMITS)
+        for name in ("anterior", "posterior"):
+            if (surface := getattr(self, name)) is not None:
+                check_range(f"{name} radius", surface.radius, _CORNEAL_RADIUS)
 
     def transmittance(self, wavelengths: Spectrum) -> Spectrum | None:
         """Compute the transmittance of one passage above 310 nm, less reflection  [F09 Eq. 16].
@@ -191,7 +200,8 @@ class Eye(eqx.Module):
             self._check_centre(np.asarray(self.pupil_centre))
         ring = self.iris_radius, self.limbus_radius, slope_of(self)
         if self.cornea is not None and is_known(self.cornea, ring, self.iris_depth):
-            least_depth = float(_least_depth(self.cornea, *ring))
+            with jax.ensure_compile_time_eval():  # an eye may be made inside a program
+                least_depth = float(_least_depth(self.cornea, *ring))
             if not float(self.iris_depth) > least_depth:
                 raise ValueError(
                     f"iris_depth = {float(self.iris_depth):g} mm puts the iris into the cornea or "

@@ -64,6 +64,7 @@ class Camera(eqx.Module):
             )
         for name, allowed in CAMERA_LIMITS.items():
             check_range(f"camera {name}", getattr(self, name), allowed)
+        check_range("camera azimuth", self.azimuth, Range(-np.inf, np.inf))
 
     def crop_rows(self, first: int, rows: int, samples: int = 1) -> "Camera":
         """Return the camera of a band of rows of its picture, counted from 0 at the top, in which

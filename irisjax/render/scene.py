@@ -1,14 +1,18 @@
 """`Scene`: an eye, its lights and a camera."""
 
 import dataclasses
+from collections.abc import Iterable
+from typing import Any
 
 import equinox as eqx
+import jax
 import numpy as np
 
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.lids import SEEN_FROM
 from irisjax.anatomy.sclera import VeinMap
 from irisjax.measure.colour import OBSERVER
+from irisjax.measure.measurement import check_wavelengths
 from irisjax.numerics.checks import is_known
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
@@ -24,6 +28,15 @@ ENVIRONMENT_LIGHTS = 25
 """Number of lamps that approximate an environment."""
 LAMP = 0.6, 2.2
 """Polar angle and azimuth, radians, of the lamp of a scene that has no other light."""
+
+
+def _as_wavelengths(wavelengths: Iterable[Any] | None) -> tuple[float, ...] | None:
+    """Return wavelengths as numbers that a static field can hold."""
+    if wavelengths is None:
+        return None
+    numbers = tuple(float(w) for w in wavelengths)
+    check_wavelengths(np.asarray(numbers))
+    return numbers
 
 
 class Scene(eqx.Module):
@@ -64,10 +77,12 @@ class Scene(eqx.Module):
     environment_lights: int = eqx.field(static=True, default=ENVIRONMENT_LIGHTS)
     illuminant: str = eqx.field(static=True, default="D65")
     observer: str = eqx.field(static=True, default=OBSERVER)
-    wavelengths: tuple[float, ...] | None = eqx.field(static=True, default=None)
+    wavelengths: tuple[float, ...] | None = eqx.field(
+        static=True, default=None, converter=_as_wavelengths
+    )
 
     def __check_init__(self) -> None:
-        if self.lights is None and self.environment is None:
+        if not (self.lights or self.environment is not None):
             raise ValueError("a scene needs lights or an environment")
         if self.iris is None:
             if self.integrator.process is not None or self.maps is not None:
@@ -80,9 +95,9 @@ class Scene(eqx.Module):
         if lights is not None and lights.illuminant != self.illuminant:
             raise ValueError(f"the lights are {lights.illuminant}, the scene is {self.illuminant}")
         polar = self.camera.polar
-        if self.eye.lids is not None and is_known(polar) and polar > SEEN_FROM + 1e-6:
+        if self.eye.lids is not None and is_known(polar) and float(polar) > SEEN_FROM + 1e-6:
             raise ValueError(
-                f"the camera is {np.degrees(polar):.3g}° off the axis; lids are drawn up to "
+                f"the camera is {np.degrees(float(polar)):.3g}° off the axis; lids are drawn up to "
                 f"{np.degrees(SEEN_FROM):.0f}°: move it, or leave the lids out"
             )
         if self.wavelengths is not None:
@@ -146,7 +161,8 @@ class Scene(eqx.Module):
         """
         if not is_known(self.lights, self.environment):
             return True
-        return bool((np.asarray(self.all_lights().polar()) > UNIQUE_POLAR).any())
+        with jax.ensure_compile_time_eval():  # a scene may be drawn inside a program
+            return bool((np.asarray(self.all_lights().polar()) > UNIQUE_POLAR).any())
 
     def all_lights(self, largest_polar: float | None = LARGEST_POLAR) -> Lights:
         """Return the lamps, and those that approximate the environment up to a polar angle
