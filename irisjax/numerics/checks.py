@@ -51,10 +51,14 @@ def check_range(name: str, value: object, allowed: Range) -> None:
 
 def check_number(name: str, value: Any, allowed: Range) -> None:
     """`check_range` of one number; raise `ValueError` for an array of several."""
+    _check_one(name, value)
+    check_range(name, value, allowed)
+
+
+def _check_one(name: str, value: object) -> None:
     if shape := np.shape(value):
         message = "it must be one number: use jax.vmap for several"
         raise ValueError(f"{name} has shape {shape}; {message}")
-    check_range(name, value, allowed)
 
 
 def check_whole(name: str, value: object, low: int, high: float = np.inf) -> None:
@@ -82,13 +86,7 @@ def check_fields(module: object, ranges: dict[str, Range]) -> None:
 def check_scalars(module: object, names: Iterable[str]) -> None:
     """Raise `ValueError` naming the first of these fields that is an array, not one number."""
     for name in names:
-        shape = np.shape(getattr(module, name))
-        if shape:
-            kind = type(module).__name__
-            raise ValueError(
-                f"{kind}.{name} has shape {shape}; it must be one number: "
-                f"use jax.vmap for a batch of {kind.lower()}s"
-            )
+        _check_one(f"{type(module).__name__}.{name}", getattr(module, name))
 
 
 def _format_number(number) -> str:

@@ -38,6 +38,10 @@ class IrisMaps(eqx.Module):
     A texel keeps the concentrations of each layer of the `Iris`, so a deeper layer contains more
     pigment. An `Iris` of that thickness, whose melanin is divided by mass, gives another picture.
 
+    Approximation: a picture's table spans the range of each map, and a wider one is less exact. One
+    texel of 20 times a preset's pigment changes the rest by 1.4 % at most, one of 100 times by 3 %.
+    Derivatives leave that range as it is.
+
     Attributes:
         relief: Height of the surface towards the cornea, mm; it tilts the surface and shades it.
         abl_depth: Thickness of the anterior border layer (ABL), mm.
