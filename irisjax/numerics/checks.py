@@ -55,7 +55,7 @@ def check_number(name: str, value: Any, allowed: Range) -> None:
     check_range(name, value, allowed)
 
 
-def _check_one(name: str, value: object) -> None:
+def _check_one(name: str, value: Any) -> None:
     if shape := np.shape(value):
         message = "it must be one number: use jax.vmap for several"
         raise ValueError(f"{name} has shape {shape}; {message}")
