@@ -64,6 +64,9 @@ class Cornea(eqx.Module):
             forwards, 85e8 for the direct beam; `None` for a perfectly clear cornea. Fresnel's
             losses are added, as in F09: if the measured T includes the reflection of the front,
             2.5 % is lost twice each way.
+
+    Raises:
+        ValueError: For an index, a haze or a radius out of range.
     """
 
     anterior: Conicoid = eqx.field(default_factory=lambda: Conicoid(7.8, 0.75))

@@ -31,6 +31,9 @@ class VeinMap(eqx.Module):
             would look yellow, as thin blood does.
         cover: Share of the light, 0 to 1, that meets a conjunctival vessel.
         deep: Share of the light that meets an episcleral vessel.
+
+    Raises:
+        ValueError: For a value that is negative or not finite.
     """
 
     depth: Float[Array, "azimuths polars"]

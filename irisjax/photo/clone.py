@@ -365,9 +365,10 @@ class Coloured(Fitted):
         """
         if self.texels is None or self.photograph.grey:
             return None
-        mean, sd = self.texels.abl_melanin(self.pose.eye)
-        # Texels share what the fit does not know: blood, white balance, room.
-        sd = math.hypot(sd, pigments.sd_of_abl_melanin(self.fit))
+        mean = self.texels.abl_melanin(self.pose.eye)
+        # As if all texels had the same error. They do share what the fit does not know: blood,
+        # white balance, room.
+        sd = math.hypot(self.texels.melanin_sd, pigments.sd_of_abl_melanin(self.fit))
         return mean, mean * math.exp(-1.96 * sd), mean * math.exp(1.96 * sd)
 
 

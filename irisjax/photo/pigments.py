@@ -283,7 +283,8 @@ def misfits(fit: PigmentFit, windows: Windows) -> list[str]:
         doubts.append(
             "one set of pigments does not follow the colours of the iris (off by factors of "
             f"{', '.join(f'{f:.2f}' for f in np.exp(fit.rms))} in R, G, B over it, RMS): its "
-            "intervals are too narrow; that of the mean of the texels allows for it"
+            "intervals are too narrow; where texels have pigments of their own, the interval of "
+            "their mean melanin allows for it"
         )
     for name, z in zip(FREE_NAMES, fit.z, strict=True):
         if abs(z) > _UNUSUAL:

@@ -98,8 +98,8 @@ class OwnPigments(NamedTuple):
             doubts about the exposures and the process (`PROCESS_DOUBT`).
         common: The part of `deviations` that is by the exposures and the process, median of all
             texels: an error that they have in common.
-        melanin_sd: Standard deviation of the logarithm of the ABL's melanin, both together, by the
-            same as `deviations`: median of all texels.
+        melanin_sd: Standard deviation of the logarithm of a texel's melanin in the ABL, eumelanin
+            and pheomelanin together, by the same causes as `deviations`; median of all texels.
         correlation: Median correlation of the errors of each pair of `NAMES`, (3, 3).
         hidden: Cells that the photograph does not show, (angles, radii), filled from beside.
         outside: Share of pixels whose colour is none that the model can make.
@@ -122,10 +122,9 @@ class OwnPigments(NamedTuple):
     error: float
     light: Any
 
-    def abl_melanin(self, eye: Eye) -> tuple[float, float]:
-        """Return the mean concentration of the ABL's melanin (mg/ml) over the area that the
-        photograph shows, and the standard deviation of its logarithm: a texel's, as if all had the
-        same error.
+    def abl_melanin(self, eye: Eye) -> float:
+        """Return the mean concentration of the ABL's melanin, mg/ml, over the area that the
+        photograph shows.
 
         An iris that is fitted as an even one has the melanin with which it has the mean colour;
         where melanin varies, the dark places hold more of it than they take of the light.
@@ -133,7 +132,7 @@ class OwnPigments(NamedTuple):
         area = np.asarray(eye.ring_area(cell_centres(self.hidden.shape)[1])) * ~self.hidden
         held = self.iris.layer_concentrations()
         melanin = sum(held[f"abl_{n}"] * np.asarray(getattr(self.maps, n)) for n in NAMES[1:])
-        return float(np.average(melanin, weights=area)), self.melanin_sd
+        return float(np.average(melanin, weights=area))
 
 
 class Seen(NamedTuple):

@@ -111,7 +111,7 @@ class Scene(eqx.Module):
                     "spectral pictures need plain lamps: environments and tints have colours, not "
                     "spectra"
                 )
-        if lights is not None and is_known(lights.radius):
+        if lights and is_known(lights.radius):
             widest = float(np.max(np.asarray(lights.radius)))
             # Wider lights approximate regions of an environment, which is mirrored itself.
             if widest > np.pi / 2 + 1e-6:

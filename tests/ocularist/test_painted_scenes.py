@@ -235,7 +235,7 @@ def test_derivatives_by_colour_and_opacity_are_those_of_finite_differences():
 
 
 def test_where_no_light_arrives_the_derivative_by_it_is_a_number():
-    """It was none in every picture with a place in the shade."""
+    """The derivative was NaN in every picture with a place in the shade."""
     painted, pixels = scene(coat("base")).integrator, iris_pixels(SOME[:8])
     half_dark = eqx.tree_at(lambda t: t.flux, tables(), tables().flux.at[:, :3].set(0.0))
 

@@ -16,7 +16,7 @@ LIMBUS, PUPIL = Ellipse(MIDDLE, (580.0, 580.0)), Ellipse(MIDDLE, (100.0, 100.0))
 
 
 def posed(corner, clear):
-    """What the overlay needs of an eye with a pose."""
+    """Make the fields that the overlay reads of a photograph whose pose is known."""
     pixels = np.full((SIZE, SIZE, 3), 0.2, np.float32)
     found = object.__new__(Posed)
     vars(found).update(

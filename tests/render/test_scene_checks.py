@@ -41,5 +41,10 @@ def test_what_would_draw_nothing_but_nan_is_refused(state, message):
         state()
 
 
+def test_an_environment_needs_no_lamps_beside_it():
+    none, studio = ij.Lights.distant([], []), ij.Environment.studio()
+    assert len(SCENE.replace(lights=none, environment=studio).all_lights()) > 0
+
+
 def test_wavelengths_may_be_an_array():
     assert SCENE.replace(wavelengths=ij.wavelengths(450, 550, 50)).wavelengths == (450, 500, 550)

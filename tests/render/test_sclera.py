@@ -243,7 +243,7 @@ def test_an_eye_without_sclera():
     ],
 )
 def test_maps_of_vessels_that_none_can_have_are_refused(field, value, message):
-    """A negative depth was taken for none."""
+    """A negative depth was drawn as a place without blood."""
     maps = dict.fromkeys(("depth", "cover", "deep"), jnp.zeros((4, 4)))
     with pytest.raises(ValueError, match=message):
         VeinMap(**maps | {field: jnp.full((4, 4), value)})
