@@ -17,7 +17,7 @@ from jaxtyping import Float
 from irisjax._types import Numbers, Scalar, Spectrum, float_field, optional_field
 from irisjax.anatomy.lids import Lids
 from irisjax.anatomy.media import AQUEOUS, CORNEA, INDEX, Media
-from irisjax.numerics.checks import Range, check_fields, check_range, is_known
+from irisjax.numerics.checks import Range, check_fields, check_range, check_shape, is_known
 from irisjax.numerics.roots import safe_sqrt
 from irisjax.optics.conicoid import Conicoid, Vector, parts
 
@@ -119,6 +119,7 @@ class Sclera(eqx.Module):
 
     def __check_init__(self) -> None:
         check_fields(self, EYE_LIMITS)
+        check_shape("tint", self.tint, (3,))
 
 
 class LimbalRing(eqx.Module):
@@ -191,6 +192,7 @@ class Eye(eqx.Module):
 
     def __check_init__(self) -> None:
         check_fields(self, EYE_LIMITS)
+        check_shape("pupil_harmonics", self.pupil_harmonics, ("harmonics", 2))
         if self.lids is not None and (self.cornea is None or self.sclera is None):
             raise ValueError("lids need an eye with a cornea and a sclera")
         radii = self.pupil_radius, self.iris_radius

@@ -10,6 +10,7 @@ from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye
 from irisjax.anatomy.lids import EDGE_WIDTH, FACE, FENCE, Lids
 from irisjax.anatomy.sclera import sclera_centre
+from irisjax.numerics.checks import check_whole
 from irisjax.numerics.streams import words_of
 from irisjax.numerics.strokes import stamp_strokes, stroke_sections
 
@@ -28,6 +29,7 @@ def lids(eye: Eye, *, texels: int = 1024, key: PRNGKey, **fields: Any) -> Lids:
     Raises:
         ValueError: The eye has no cornea or no sclera, or a field is out of range.
     """
+    check_whole("texels", texels, 2)
     plain = Lids(**fields)
     eye.replace(lids=plain)  # raises if the eye cannot have lids
     rng = np.random.default_rng(words_of(key))

@@ -11,6 +11,7 @@ import numpy as np
 from irisjax._types import PRNGKey
 from irisjax.anatomy.eye import Eye, sclera_of
 from irisjax.anatomy.sclera import VeinMap, limbus_angle
+from irisjax.numerics.checks import check_whole
 from irisjax.numerics.streams import words_of
 
 VEINS = {"clear": 0.15, "usual": 0.35, "bloodshot": 1.5}
@@ -64,6 +65,8 @@ def veins(eye: Eye, *, shape: tuple[int, int] = (1024, 512), key: PRNGKey) -> Ve
     Raises:
         ValueError: The eye has no sclera.
     """
+    for name, count in zip(("azimuths", "polar angles"), shape, strict=True):
+        check_whole(f"number of {name}", count, 2)
     sclera = sclera_of(eye)
     globe, density = _Globe(float(sclera.radius), float(limbus_angle(eye))), float(sclera.veins)
     if density == 0:

@@ -68,6 +68,19 @@ def check_whole(name: str, value: object, low: int, high: float = np.inf) -> Non
     check_range(name, value, Range(low, high))
 
 
+def check_shape(name: str, value: Any, shape: tuple[int | str, ...]) -> None:
+    """Raise `ValueError` unless an array has this shape, whose words stand for any number. `None`
+    is an absent part and passes.
+    """
+    if value is None:
+        return
+    got = np.shape(value)
+    fits = [isinstance(n, str) or n == m for n, m in zip(shape, got, strict=False)]
+    if len(got) != len(shape) or not all(fits):
+        need = str(shape).replace("'", "")
+        raise ValueError(f"{name} has shape {got}; it must be {need}")
+
+
 def check_known(category: str, name: str, known: Collection[str]) -> None:
     """Raise `ValueError` with the known names, and the nearest of them, unless `name` is one."""
     if name not in known:

@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from irisjax._types import as_float
-from irisjax.numerics.checks import is_known
+from irisjax.numerics.checks import check_whole, is_known
 from irisjax.numerics.fusion import materialise
 from irisjax.numerics.interpolation import multilinear
 from irisjax.render.lights import Lights
@@ -203,6 +203,7 @@ def panorama_geometry(
     """Return unit vectors to the centres of a map's texels, and their solid angles; by default
     there are twice as many columns as rows.
     """
+    check_whole("rows", rows, 1)
     columns = 2 * rows if columns is None else columns
     polar = (np.arange(rows) + 0.5)[:, None] * np.pi / rows
     azimuth = ((np.arange(columns) + 0.5) / columns - 0.5) * 2 * np.pi

@@ -63,9 +63,13 @@ class Lights(eqx.Module):
         """Make lights at infinity, at `polar` angles from the eye's axis and `azimuth` from +x to
         +y, radians.
         """
-        polar, azimuth, irradiance, radius = jnp.broadcast_arrays(
-            *(jnp.atleast_1d(as_float(v)) for v in (polar, azimuth, irradiance, radius))
-        )
+        each = [jnp.atleast_1d(as_float(v)) for v in (polar, azimuth, irradiance, radius)]
+        try:
+            polar, azimuth, irradiance, radius = jnp.broadcast_arrays(*each)
+        except ValueError:
+            shapes = ", ".join(str(v.shape) for v in each)
+            message = f"lights: polar, azimuth, irradiance and radius have shapes {shapes}"
+            raise ValueError(f"{message}; each must be one number or one a light") from None
         towards = direction_of(polar, azimuth)
         return cls(towards, irradiance, radius=radius, illuminant=illuminant)
 

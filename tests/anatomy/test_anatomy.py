@@ -1,11 +1,11 @@
-"""Eyes that cannot be: an iris within the cornea is refused, the shallowest other is drawn."""
+"""Eyes that cannot be: those of wrong values, and of an iris within the cornea, are refused."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from irisjax.anatomy.eye import Cornea, Eye
+from irisjax.anatomy.eye import Cornea, Eye, Sclera
 from irisjax.optics.conicoid import Conicoid
 from irisjax.render.camera import Camera
 from irisjax.render.project import project_visible
@@ -83,3 +83,11 @@ def test_depth_may_be_traced():
     assert slopes[2] == pytest.approx(float((found[3] - found[1]) / (2 * step)), rel=1e-6)
     # The radius may be traced as well, with a depth that is known.
     jax.eval_shape(lambda r: Eye(iris_depth=3.0, iris_radius=r).iris_radius, 5.0)
+
+
+def test_arrays_of_a_wrong_shape_are_named():
+    with pytest.raises(ValueError, match=r"^tint has shape \(2,\); it must be \(3,\)$"):
+        Sclera(tint=np.ones(2))
+    message = r"^pupil_harmonics has shape \(4,\); it must be \(harmonics, 2\)$"
+    with pytest.raises(ValueError, match=message):
+        Eye(pupil_harmonics=np.zeros(4))

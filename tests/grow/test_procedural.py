@@ -188,6 +188,10 @@ def test_errors():
         grown(ij.Eye(pupil_radius=4.7, iris_radius=4.75))
     with pytest.raises(ValueError, match=r"shape \(8, 8\) is below"):
         procedural(ij.Iris(), shape=(8, 8), key=KEY)
+    with pytest.raises(ValueError, match=r"^texels = 0 is outside \[2, inf\)$"):
+        ij.lids(ij.Eye(), texels=0, key=KEY)
+    with pytest.raises(ValueError, match=r"^number of polar angles = 0 is outside \[2, inf\)$"):
+        ij.veins(ij.Eye(), shape=(8, 0), key=KEY)
 
 
 def test_single_precision_sees_the_noise_of_double(float32):

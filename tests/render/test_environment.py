@@ -207,6 +207,8 @@ def test_errors():
     ):
         with pytest.raises(ValueError, match=said):
             Environment(radiance)
+    with pytest.raises(ValueError, match=r"^rows = 0 is outside \[1, inf\)$"):
+        Environment.studio(0)
     with pytest.raises(ValueError, match="at least one light, got n = 0"):
         noisy(4).to_lights(0)
     with pytest.raises(ValueError, match="outside jit and grad"):

@@ -205,6 +205,10 @@ def test_what_cannot_be_is_named():
         one = {"towards": np.array([[0, 0, -1.0]]), "irradiance": 1.0}
         with pytest.raises(ValueError, match=said[1]):
             Lights(**{**one, wrong.strip(): said[0]})
+    with pytest.raises(
+        ValueError, match=r"have shapes \(2,\), \(3,\), \(1,\), \(1,\); each must be"
+    ):
+        Lights.distant([0.3, 0.4], [0.1, 0.2, 0.3])
     iris = IRIS.replace(stroma_thickness=0.0)
     with pytest.raises(ValueError, match="stroma_thickness = 0 mm leaves no concentrations"):
         Scene(iris, IrisMaps(stroma_depth=np.ones((4, 4))))
