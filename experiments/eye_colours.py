@@ -56,21 +56,22 @@ USUAL = {  # eumelanin and pheomelanin, mg/ml: the order of LB06's levels, and P
     "brown": (1.0, 0.5),
     "dark-brown": (2.0, 0.5),
 }
-BLOODLESS = {"blue": 0.04}
+BLOODLESS = {"blue": 0.002, "grey": 0.002}
 """Usual haemoglobin, mmol/l, of colours whose thick cords would be pink with more."""
 INSIDE = ((-0.75, 0.75), (-0.85, 0.85), (-0.85, 0.85))
 """Standard deviations of L*, a* and b* within which a colour is as good as the mean."""
 OWN = {  # the same, of those that would else look alike, and of one whose spread is small
-    "blue": ((-0.75, 0.75), (-0.94, 0.85), (-0.85, 0.6)),
-    "grey": ((-0.75, 0.75), (-0.5, 0.5), (-0.2, 0.5)),
+    "blue": ((-0.85, 0.75), (-0.93, 0.85), (-0.94, 0.6)),
+    "grey": ((-0.75, 0.75), (-0.85, 0.5), (-0.4, 0.5)),
+    "green": ((-0.75, 0.75), (-0.85, 0.91), (-0.93, 0.85)),
     "hazel": ((-0.75, 0.4), (-0.7, 0.7), (-0.85, 0.5)),
     "brown": ((-0.75, 0.75), (-0.85, 0.85), (0.1, 0.85)),
     "dark-brown": ((-0.75, 0.75), (-0.4, 0.85), (0.0, 0.85)),
 }
-OVER_WHITE = 0.108, 0.33
+OVER_WHITE = 0.1005, 0.33
 """Luminance over the white's within which the same holds."""
 STIFF = 60.0  # weight of a standard deviation, or of a fifth of that luminance, beyond these
-STARTS = (2.0, -1.0), (3.4, 0.0), (3.4, -3.0)  # ln of scattering, of eumelanin's excess
+STARTS = (1.4, -1.5), (3.2, 0.0), (3.2, -3.0)  # ln of scattering, of eumelanin's excess
 WIDTH = 12.6  # of the picture, mm
 _LOG = np.array([name != "abl_fraction" for name in FREE])
 _TO_XYZ = np.linalg.inv(XYZ_TO_SRGB)
@@ -225,7 +226,7 @@ def search(colour, base, eye, quick=False):
         begin = to_log(usual)
         begin[0] += eumelanin
         begin[-1] = scattering
-        most = 3 if quick else 60
+        most = 3 if quick else 30
         fits.append(
             least_squares(cost, begin, bounds=to_log(bounds), diff_step=1e-3, max_nfev=most)
         )

@@ -135,7 +135,7 @@ class LimbalRing(eqx.Module):
             are the same for all eyes.
     """
 
-    darkening: Scalar = float_field(0.6)
+    darkening: Scalar = float_field(0.2)
     width: Scalar = float_field(0.1)
     fade: Scalar = float_field(0.6)
     unevenness: Scalar = float_field(0.8)

@@ -35,21 +35,25 @@ _FIELDS = "eumelanin", "pheomelanin", "abl_fraction", "hemoglobin", "scattering_
 _SATURATION = 0.95
 # Thickness of the stroma, mm, where LB06's is too thin for so bright and red an iris.
 _THICKNESS = {"hazel": 0.35, "amber": 0.55, "brown": 0.35}
+# Refractive index of both layers, as of watery soft tissue, where LB06's 1.47 keeps so much light
+# inside that a thin stroma is greener than in photographs.
+_INDEX = {"blue": 1.38}
 _PIGMENTS = {  # for ILIT, and for radiative transfer, found by experiments/eye_colours.py
-    "blue": ((0.0336, 0.00672, 0.105, 0.208, 7.47), (0.0983, 0.00742, 0.0207, 0.142, 14.2)),
-    "grey": ((0.0861, 0.0327, 0.514, 0.149, 9.84), (0.0466, 0.0314, 0.436, 0.124, 17.9)),
-    "green": ((0.00595, 0.493, 0.98, 0.011, 16.5), (0.0219, 0.676, 0.98, 0.0235, 28.8)),
-    "hazel": ((0.525, 0.529, 0.693, 0.251, 37.8), (0.246, 0.776, 0.576, 0.169, 33.5)),
-    "amber": ((0.0707, 0.798, 0.522, 0.157, 40), (0.0444, 0.851, 0.613, 0.0593, 34.4)),
-    "brown": ((0.198, 1.32, 0.751, 0.335, 37.9), (0.406, 0.727, 0.734, 0.219, 37.1)),
-    "dark-brown": ((1.03, 0.346, 0.471, 0.301, 31.8), (0.446, 0.526, 0.707, 0.194, 34.8)),
+    "blue": ((0.0789, 0.0199, 0.498, 0.002, 3.17), (0.143, 0.00541, 0.387, 0.00174, 7.01)),
+    "grey": ((0.1, 0.03, 0.5, 0.002, 20.1), (0.3, 0.09, 0.304, 0.0163, 33.5)),
+    "green": ((0.00485, 0.558, 0.98, 0.00789, 13.7), (0.0187, 0.742, 0.98, 0.0183, 26.2)),
+    "hazel": ((0.536, 0.736, 0.616, 0.192, 30.7), (0.143, 0.891, 0.603, 0.157, 28.5)),
+    "amber": ((0.0915, 0.9, 0.476, 0.114, 30.9), (0.0599, 0.859, 0.677, 0.0483, 31.5)),
+    "brown": ((0.389, 1.42, 0.732, 0.235, 34.8), (0.401, 0.823, 0.736, 0.204, 31.4)),
+    "dark-brown": ((1.16, 0.415, 0.487, 0.217, 27.1), (0.693, 0.515, 0.642, 0.162, 33.4)),
 }
 # Thicker stroma is darker in brown irides, so that their fibres show less.
 _BROWN = {"fibres": 0.9, "clouds": 0.5, "collarette": 0.5}
 _FEATURES: dict[str, dict[str, Any]] = {
-    "blue": {"crypts": 9, "patches": 0.7, "furrows": 2, "looseness": 0.3, "clouds": 0.5},
+    "blue": {"crypts": 9, "patches": 0.7, "furrows": 2, "looseness": 0.3, "clouds": 0.5}
+    | {"margins": 0.2},
     "grey": {"crypts": 13, "patches": 0.8, "looseness": 0.6, "clouds": 0.4},
-    "green": {"crypts": 10, "patches": 0.4, "amber": 2.5, "heterochromia": 4.0, "abl": 0.5},
+    "green": {"crypts": 10, "patches": 0.4, "amber": 2.0, "heterochromia": 3.0, "abl": 0.2},
     "hazel": {"crypts": 10, "patches": 0.5, "heterochromia": 6.0, "abl": 0.4, "freckles": 2},
     "amber": {"crypts": 8, "patches": 1.2, "amber": 1.0, "heterochromia": 1.5, "abl": 0.3}
     | {"clouds": 0.6},
@@ -75,13 +79,15 @@ def preset(
     them for each process so that a picture in the studio shows the visible iris, through the cornea
     and with the preset's maps, in the colour of photographed irides within one standard deviation
     (`PHOTOGRAPHED_COLOURS`), and with a tenth to a third of the luminance of the white. Of all such
-    values it chooses the pigments nearest to usual ones and the weakest scattering: 7 to 40 times
-    LB06's by ILIT and 14 to 37 times by radiative transfer, up to 10 mm⁻¹ at 500 nm, more than
-    other soft tissues have. Hazel, brown and amber also need a stroma of 0.35, 0.35 and 0.55 mm.
+    values it chooses the pigments nearest to usual ones and the weakest scattering: 3 times LB06's
+    (ILIT) and 7 times (radiative transfer) in blue irides, 14 to 35 times in others, up to 9 mm⁻¹
+    at 500 nm, more than other soft tissues have. Hazel, brown and amber also need a stroma of 0.35,
+    0.35 and 0.55 mm, blue a refractive index of 1.38 in place of LB06's 1.47.
     Blue irides have little melanin, green and amber ones mostly pheomelanin [Prota et al. 1998,
-    Exp. Eye Res. 67, 293]. The redness of photographed irides requires more blood than LB06's 0.084
-    mmol/l, at most 0.335, a seventh of pure blood's; its saturation is 0.95, as in the
-    choroid, since a saturation of 0.5 would require twice as much blood. Fibrils have LB06's
+    Exp. Eye Res. 67, 293]. The redness of photographed hazel and brown irides requires more blood
+    than LB06's 0.084 mmol/l, at most 0.24, a tenth of pure blood's; its saturation is 0.95, as in
+    the choroid, since a saturation of 0.5 would require twice as much blood. Blue and grey irides
+    have nearly none, which would show pink in their thick cords. Fibrils have LB06's
     radius, which has the same effect as the strength. Hazel and green eyes are browner near the
     pupil, where their maps add eumelanin.
 
@@ -106,6 +112,8 @@ def preset(
     usual = float(Iris().stroma_thickness)
     thickness = _THICKNESS.get(colour, usual)
     fields |= {"saturation": _SATURATION, "stroma_thickness": thickness}
+    if colour in _INDEX:
+        fields |= dict.fromkeys(("abl_index", "stroma_index"), _INDEX[colour])
     iris = Iris().replace(**fields).replace(**dict(pigments or {}))
     # A share of the thickness, so that the relief is as high in a thicker stroma.
     arguments: dict[str, Any] = {"relief": 0.13 * usual / thickness, "margins": 0.4}

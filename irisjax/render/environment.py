@@ -58,8 +58,8 @@ class Environment(eqx.Module):
 
     @classmethod
     def studio(cls, rows: int = 128) -> "Environment":
-        """Make an invented portrait studio: a grey room with a key softbox up on the left, a dim
-        fill light on the right and a strip light behind.
+        """Make an invented portrait studio: a grey room with a key softbox up on the left, which is
+        4 % rosier than D65, a dim fill light on the right and a strip light behind.
 
         Left and right are the viewer's. A white sheet that faces out has a radiance of about 1.
         """
@@ -69,8 +69,8 @@ class Environment(eqx.Module):
         key = 22.5 * _panel(d, (-0.62, 0.78, -1.0), (0.17, 0.28), soft)
         fill = 1.3 * _panel(d, (1.0, 0.2, -0.8), (0.35, 0.6), 4 * soft)
         strip = 2.6 * _panel(d, (0.7, 0.9, 0.8), (0.12, 0.7), soft)
-        warm, cold = np.array([1.0, 0.98, 0.94]), np.array([0.94, 0.97, 1.0])
-        return cls(room + key[..., None] * warm + fill[..., None] * cold + strip[..., None])
+        rosy, cold = np.array([1.0, 0.957, 0.98]), np.array([0.98, 0.97, 1.0])
+        return cls(room + key[..., None] * rosy + fill[..., None] * cold + strip[..., None])
 
     @classmethod
     def window(cls, rows: int = 256) -> "Environment":
