@@ -8,7 +8,7 @@ import numpy as np
 
 from irisjax.anatomy.eye import Eye
 from irisjax.grow.vessels import veins
-from irisjax.numerics.checks import check_known
+from irisjax.numerics.checks import check_known, is_known
 from irisjax.numerics.streams import key_of
 from irisjax.ocularist.coats import Coat, Painting, profile_of
 from irisjax.ocularist.components import component, scan
@@ -89,7 +89,17 @@ def studio(painting: Painting, eye: Eye, *, seed: int = 0, **parts: Any) -> Scen
         seed: Seed of the vessels.
         parts: Fields of the `Scene` in place of the defaults; an environment is represented by 16
             lamps.
+
+    Raises:
+        ValueError: For a painting that was made for another pupil or root than the eye's.
     """
+    made, asked = painting.profile.radius, profile_of(eye).radius
+    ends = np.array([0, -1])
+    if is_known(made, asked) and not np.allclose(made[ends], asked, rtol=0, atol=1e-4):
+        raise ValueError(
+            f"the painting is for an iris of {float(made[0]):g} to {float(made[-1]):g} mm and the "
+            f"eye's is of {float(asked[0]):g} to {float(asked[-1]):g} mm; paint it for this eye"
+        )
     usual: dict[str, Any] = {
         "lights": Lights.distant(0.6, 2.2, 2.4) + Lights.distant(0.5, -0.6, 0.9),
         "camera": Camera(width=jnp.asarray(16.5), size=(800, 600)),

@@ -15,6 +15,7 @@ from common import counting
 from irisjax.ocularist import integrator
 from irisjax.ocularist.coats import LIMBUS, SLOPE, Coat, Painting, profile_of, prosthesis
 from irisjax.ocularist.integrator import Painted
+from irisjax.ocularist.painting import studio
 from irisjax.render.camera import Camera
 from irisjax.render.environment import Environment
 from irisjax.render.illumination import Illumination
@@ -329,3 +330,11 @@ def test_coats_near_each_other_are_lit_together(monkeypatch):
     # each other, and the lowest coat has two above it. Light maps round by a texel's share.
     bound = 2 * steepest * (0.03 * 2) * picture(coat("white", 0.12)).max()
     assert 0 < np.abs(together - apart).max() < bound
+
+
+def test_a_painting_is_shown_on_the_eye_it_was_made_for():
+    painting = Painting((coat("white", 0.1),), profile_of(EYE))
+    assert studio(painting, EYE).eye is EYE
+    wider = EYE.replace(pupil_radius=3.5)
+    with pytest.raises(ValueError, match=r"eye's is of 3\.5 to .* mm; paint it for this eye"):
+        studio(painting, wider)
