@@ -34,10 +34,20 @@ PROCESSES = {
 ILIT = {name: p for name, p in PROCESSES.items() if not isinstance(p, ij.RadiativeTransfer)}
 
 
+def rows_of(path):
+    """Rows of a CSV file below its comments, as dictionaries of strings."""
+    with Path(path).open(encoding="utf-8") as f:
+        return list(csv.DictReader(line for line in f if not line.startswith("#")))
+
+
+def rows_by(key, path):
+    """The same by the entry that names each row."""
+    return {row[key]: row for row in rows_of(path)}
+
+
 def reference(name):
     """Rows of a reference table, as dictionaries of strings."""
-    with open(Path(__file__).parent / "reference" / name, encoding="utf-8") as f:
-        return list(csv.DictReader(line for line in f if not line.startswith("#")))
+    return rows_of(Path(__file__).parent / "reference" / name)
 
 
 class Csv(NamedTuple):

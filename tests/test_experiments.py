@@ -7,6 +7,8 @@ from pathlib import Path
 import jax
 import pytest
 
+from common import rows_of
+
 ROOT = Path(__file__).parent.parent
 RESULTS = ROOT / "experiments" / "results"
 ELSEWHERE = {
@@ -81,8 +83,7 @@ def test_posteriors_are_as_wide_as_they_should_be(tmp_path, monkeypatch):
     importlib.import_module("experiments.calibration").main(
         jax.random.key(0), quick=True, out=tmp_path, eyes=40
     )
-    with (tmp_path / "calibration_summary.csv").open(encoding="utf-8") as f:
-        rows = list(csv.DictReader(line for line in f if not line.startswith("#")))
+    rows = rows_of(tmp_path / "calibration_summary.csv")
     assert len(rows) == 7
     found = {
         f"{row['parameter']} {test}": float(row[test])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from stand_ins import FREE, truth_of
 
+from common import rows_by, rows_of
 from irisjax import io
 from irisjax.cli import batch, report
 from irisjax.infer.fit import Fit, FitStatus
@@ -47,11 +48,6 @@ def searched(quick, monkeypatch):
     return sizes
 
 
-def rows_of(path):
-    with path.open() as file:
-        return {row["eye"]: row for row in csv.DictReader(file)}
-
-
 def columns(path):
     found = io.read_measured(path)
     return found.wavelengths, found.values
@@ -63,12 +59,12 @@ def test_batch(irisjax, done, eye, copies, searched, tmp_path):
     status, _, err = irisjax("fit", "--batch", eyes, "-o", out, *FREE)
     assert status == 3
     assert "1 of 4 eyes failed: broken" in err
-    rows = rows_of(out / "fits.csv")
+    rows = rows_by("eye", out / "fits.csv")
     assert rows["broken"]["status"] == "failed"
     assert rows["broken"]["warnings"] == f"{eyes / 'broken.csv'}, line 2: 'oops' is not a number"
     assert (rows["e0"]["status"], rows["e0"]["warnings"]) == ("ok", "")
-    with (out / "fits-covariance.csv").open() as file:
-        long = [(r["eye"], r["parameter"], r["other"], r) for r in csv.DictReader(file)]
+    covariances = rows_of(out / "fits-covariance.csv")
+    long = [(r["eye"], r["parameter"], r["other"], r) for r in covariances]
     free = ("melanin_load", "hemoglobin")
     every = [(f"e{i}", one, other) for i in range(3) for one in free for other in free]
     assert [place for *place, _ in long] == [[*place] for place in every]
@@ -84,7 +80,7 @@ def test_batch(irisjax, done, eye, copies, searched, tmp_path):
     (eyes / "broken.csv").write_bytes(eye.read_bytes())
     assert irisjax("fit", "--batch", eyes, "-o", out, *FREE)[0] == 2
     done("fit", "--batch", eyes, "-o", out, *FREE, "--resume")
-    assert all(row["status"] == "ok" for row in rows_of(out / "fits.csv").values())
+    assert all(row["status"] == "ok" for row in rows_by("eye", out / "fits.csv").values())
     wrong = tmp_path / "two.csv"  # a file for all eyes is named in what is said of each
     wrong.write_text("centre,fwhm\n450,20\n550,20\n")
     _, printed, _ = irisjax("fit", "--batch", eyes, *FREE, "--bands", wrong)
@@ -137,21 +133,20 @@ def test_two_files_do_not_name_one_eye(irisjax, copies, quick):
 def test_eyes_of_another_run_stay_in_the_table(done, eye, copies, searched, tmp_path):
     eyes, out = copies("a", "b", "c"), tmp_path / "out"
     done("fit", "--batch", eyes, "-o", out, *FREE)
-    before = rows_of(out / "fits.csv")
+    before = rows_by("eye", out / "fits.csv")
     (eyes / "a.csv").unlink()
     (eyes / "c.csv").rename(eyes / "d.csv")
     done("fit", "--batch", eyes, "-o", out, *FREE, "--resume")
-    after = rows_of(out / "fits.csv")
+    after = rows_by("eye", out / "fits.csv")
     assert [*after] == ["a", "b", "c", "d"] and before.items() <= after.items()
-    with (out / "fits-covariance.csv").open() as file:
-        assert [*{row["eye"]: 0 for row in csv.DictReader(file)}] == [*after]
+    assert [*rows_by("eye", out / "fits-covariance.csv")] == [*after]
 
 
 @pytest.mark.peer
 def test_a_batch_is_searched_by_the_library(irisjax, eye, copies, quick, tmp_path):
     eyes, out = copies("a", "b"), tmp_path / "out"
     assert irisjax("fit", "--batch", eyes, "-o", out, *FREE)[0] == 0
-    rows = rows_of(out / "fits.csv")
+    rows = rows_by("eye", out / "fits.csv")
     assert rows["a"] == rows["b"] | {"eye": "a"}
     found, sd = (float(rows["a"][name]) for name in ("melanin_load", "melanin_load_sd"))
     assert abs(found - truth_of(eye)["melanin_load"]) < 3 * sd
@@ -174,7 +169,7 @@ def test_doubtful_eyes_are_marked_and_counted(done, searched, tmp_path):
     out = tmp_path / "out"
     _, err = done("fit", "--batch", tmp_path / "table.csv", "-o", out, *FREE)
     assert "1 of 2 eyes are doubtful: bright (%)" in err
-    rows = rows_of(out / "fits.csv")
+    rows = rows_by("eye", out / "fits.csv")
     assert rows["fair (%)"]["status"] == "ok"
     assert rows["bright (%)"]["status"] == "doubtful"
     assert "brighter than any iris" in rows["bright (%)"]["warnings"]
@@ -202,7 +197,7 @@ def test_posteriors_of_a_batch(irisjax, copies, searched, monkeypatch, tmp_path)
     assert irisjax(*arguments)[0] == 3
     how = {"resume": False, "quiet": True}
     assert sampled == [("a", 16, how), ("b", 16, how)]
-    found = {n: (r["status"], r["posterior"]) for n, r in rows_of(out / "fits.csv").items()}
+    found = {n: (r["status"], r["posterior"]) for n, r in rows_by("eye", out / "fits.csv").items()}
     assert found == {"a": ("ok", "converged"), "b": ("failed", "not long enough")}
     assert {n: [*x] for n, x in np.load(out / "a" / "likelihood.npz").items()} == {
         "melanin_load": [0, 2, 4],
@@ -229,7 +224,7 @@ def test_melanin_of_the_abl_is_their_product(irisjax, eye, searched, tmp_path):
     path.write_text("nm,left,left_sd\n400,0.04,0.001\n450,0.02,0.001\n")
     said = ("--free", "melanin_load,abl_fraction", "-o", out)
     assert irisjax("fit", "--batch", path, *said)[0] == 0
-    rows = rows_of(out / "fits.csv")
+    rows = rows_by("eye", out / "fits.csv")
     assert list(rows) == ["left"]
     row = {name: float(rows["left"][name]) for name in ("melanin_load", "abl_melanin")}
     assert row["abl_melanin"] == pytest.approx(row["melanin_load"] ** 2, rel=1e-5)

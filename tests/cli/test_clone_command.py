@@ -1,6 +1,5 @@
 """`irisjax clone`: what it writes, prints and refuses."""
 
-import csv
 import json
 from functools import partial
 from pathlib import Path
@@ -13,6 +12,7 @@ from PIL import Image
 from refusals import one_line
 
 import irisjax as ij
+from common import rows_by
 from irisjax.cli.clone import report
 from irisjax.io.scenes import read_scene
 from irisjax.photo import clone as cloning
@@ -337,8 +337,7 @@ def test_colours_of_an_eye_and_of_a_folder(irisjax, tmp_path, photo, truth, monk
     run = "clone", "--batch", eyes, "--colour", "-o", folder
     status, out, err = irisjax(*run)
     assert status == 3 and "2 of 3 photographs failed: a.jpg, grey.png" in err
-    with (folder / "clones.csv").open() as file:
-        rows = {row["file"]: row for row in csv.DictReader(file)}
+    rows = rows_by("file", folder / "clones.csv")
     assert rows["a.png"]["status"] == "ok" and "not a picture" in rows["a.jpg"]["doubts"]
     assert "the photograph has no colours; look at" in rows["grey.png"]["doubts"]
     assert _files(folder / "grey") == {"outlines.png"}

@@ -1,13 +1,12 @@
 """`irisjax fit --compare`: files and one sentence; what does not go with it."""
 
-import csv
-
 import numpy as np
 import pytest
 from refusals import one_line
 from stand_ins import Quick
 
 import irisjax as ij
+from common import rows_of
 from irisjax.cli import compare
 from irisjax.cli.sentences import models_sentence
 from irisjax.infer.importance import ImportanceSample
@@ -54,7 +53,7 @@ def test_from_file_to_files(irisjax, eye, compared, tmp_path, monkeypatch):
     assert {p.name for p in folder.iterdir()} == {"compare.csv", "compare.png"}
     text = (folder / "compare.csv").read_text()
     assert text.splitlines()[0] == f"# {sentence}"
-    rows = list(csv.DictReader(line for line in text.splitlines() if not line.startswith("#")))
+    rows = rows_of(folder / "compare.csv")
     assert [r["model"] for r in rows] == ["ILIT", "radiative transfer"]
     assert [r["process"] for r in rows] == ["ilit-2006", "depth-resolved"]
     assert {r["sampler"] for r in rows} == {"importance sampling"}

@@ -1,6 +1,5 @@
 """`irisjax fit`: what is asked of the sampler, from a file to files, resumed; wrong input."""
 
-import csv
 import importlib
 import re
 import sys
@@ -14,6 +13,7 @@ from refusals import one_line
 from stand_ins import FREE, truth_of
 
 import irisjax as ij
+from common import rows_by
 from irisjax import cli
 from irisjax.cli import report
 from irisjax.infer.parameters import DEFAULT_FREE, PARAMETERS
@@ -27,18 +27,13 @@ def without_header(path):
     return "\n".join(x for x in path.read_text().splitlines() if not x.startswith("#"))
 
 
-def summary(folder):
-    with (folder / "summary.csv").open() as file:
-        return {row["parameter"]: row for row in csv.DictReader(file)}
-
-
 def test_one_eye_from_file_to_files(fitted):
     assert fitted.status == 0
     assert "melanin_load" in fitted.printed
     assert "best known: load, to 10 %" in fitted.printed
     assert "predictive score" in fitted.printed.splitlines()[-1]
     assert {p.name for p in fitted.folder.iterdir()} == FILES
-    rows = summary(fitted.folder)
+    rows = rows_by("parameter", fitted.folder / "summary.csv")
     columns = "parameter,unit,median,sd,q2.5,q16,q84,q97.5,rhat,ess_bulk,ess_tail,contraction"
     columns += ",process,other_process,other_value,other_q2.5,other_q97.5,differs"
     assert list(rows["melanin_load"]) == columns.split(",")
@@ -328,7 +323,7 @@ def test_one_eye_by_the_model_itself(irisjax, spectrum, tmp_path):
     assert (status, err) == (0, BY_ILIT)
     assert "load" in out.splitlines()[-1] or "known" in out
     assert {p.name for p in folder.iterdir()} == FILES
-    rows, truth = summary(folder), truth_of(spectrum)
+    rows, truth = rows_by("parameter", folder / "summary.csv"), truth_of(spectrum)
     for name in ("melanin_load", "hemoglobin"):
         row = rows[name]
         assert abs(float(row["median"]) - truth[name]) < 5 * float(row["sd"])

@@ -1,12 +1,12 @@
 """`irisjax compare-groups`: groups of a batch's results, twice-measured eyes, wrong input."""
 
-import csv
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from refusals import one_line
 
+from common import rows_by
 from irisjax.cli import groups as command
 from irisjax.cli import many
 from irisjax.infer.priors import LogNormal, Uniform
@@ -38,11 +38,6 @@ def write(folder, load, eyes=12, seed=0, priors=PRIORS, process="ilit-2006", sta
     return folder
 
 
-def table_of(path):
-    lines = [x for x in path.read_text().splitlines() if not x.startswith("#")]
-    return {row["parameter"]: row for row in csv.DictReader(lines)}
-
-
 def test_two_groups_differ_by_what_their_eyes_do(irisjax, done, tmp_path):
     a = write(tmp_path / "a", 0.2, status="doubtful")
     b, out = write(tmp_path / "b", 0.4, seed=1), tmp_path / "groups.csv"
@@ -51,7 +46,7 @@ def test_two_groups_differ_by_what_their_eyes_do(irisjax, done, tmp_path):
     method = "likelihood of each eye: normal, the fit divided by its prior"
     for said in ("11 eyes in a, 12 in b", method, "half-normal", "lognormal(0.15, 1.2)"):
         assert said in printed and said in out.read_text()
-    rows = table_of(out)
+    rows = rows_by("parameter", out)
     assert set(rows) == {*PRIORS, "abl_melanin"}
     load = {n: float(x) for n, x in rows["melanin_load"].items() if n not in ("parameter", "unit")}
     assert load["mean_a_q2.5"] < 0.2 < load["mean_a_q97.5"]
@@ -84,7 +79,7 @@ def test_draws_replace_fits_where_every_eye_has_them(irisjax, done, tmp_path, mo
                 np.savez(folder / f"e{i}" / LIKELIHOOD, **known)
     printed, _ = done("compare-groups", a, b, "-o", tmp_path / "groups.csv")
     assert "a mixture fitted to 1024 draws" in printed and "WARNING" not in printed
-    load = table_of(tmp_path / "groups.csv")["melanin_load"]
+    load = rows_by("parameter", tmp_path / "groups.csv")["melanin_load"]
     assert float(load["mean_a"]) == pytest.approx(0.1, rel=0.1)
     assert float(load["mean_b"]) == pytest.approx(0.6, rel=0.1)
     text = (b / "fits.csv").read_text()
@@ -102,7 +97,7 @@ def test_eyes_measured_twice_are_matched_by_name(irisjax, done, tmp_path):
     (b / "fits.csv").write_text("\n".join([text[0], *text[:0:-1]]))
     printed, _ = done("compare-groups", a, b, "--paired", "-o", out)
     assert "12 eyes measured twice" in printed and "Shrout & Fleiss 1979" in printed
-    row = table_of(out)["melanin_load"]
+    row = rows_by("parameter", out)["melanin_load"]
     assert 0.97 < float(row["icc_agreement"]) < 1
     assert float(row["bias_q2.5"]) < 0 < float(row["bias_q97.5"])
     assert float(row["upper_limit"]) == pytest.approx(1.96 * np.sqrt(2) * 0.02 * 0.2, rel=0.6)

@@ -1,6 +1,5 @@
 """Eye colours beside photographed irides."""
 
-import csv
 from pathlib import Path
 
 import jax
@@ -8,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from common import rows_of
 from irisjax.grow import presets
 from irisjax.grow.presets import PHOTOGRAPHED_COLOURS, PRESETS
 from irisjax.io.scenes import parse_scene
@@ -23,8 +23,7 @@ WHITE = 0.6  # reflectance of the white of the eye
 
 def test_presets_are_what_the_experiment_found(monkeypatch):
     monkeypatch.setattr(presets, "procedural", lambda *_, **__: IrisMaps())  # grown below
-    with (RESULTS / "eye_colours_pigments.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    rows = rows_of(RESULTS / "eye_colours_pigments.csv")
     assert len(rows) == 2 * len(PRESETS)
     for row in rows:
         process = INTEGRATORS[row["integrator"]]().process
