@@ -9,13 +9,11 @@ import pytest
 import irisjax as ij
 from common import quick_jit
 from irisjax.anatomy.eye import Cornea, Eye
-from irisjax.anatomy.lids import Lids
 from irisjax.render.bands import colour_bands
 from irisjax.render.camera import Camera
 from irisjax.render.illumination import Illumination
 from irisjax.render.lights import Lights
 from irisjax.render.picture import draw, respond
-from irisjax.render.scene import Scene
 from irisjax.render.shading import sky_share
 from render.small_scenes import (
     BARE,
@@ -204,15 +202,3 @@ def test_lights_add_up():
     )
     np.testing.assert_allclose(both, first + second, atol=1e-9)
     np.testing.assert_allclose(second, white * [1, 0, 2], atol=1e-12)
-
-
-def test_scenes_that_make_no_sense_are_named():
-    with pytest.raises(ValueError, match="needs lights or an environment"):
-        Scene(LIGHT, lights=None)
-    with pytest.raises(ValueError, match="the lights are A, the scene is D65"):
-        Scene(LIGHT, lights=Lights.distant(0.1, 0.2, illuminant="A"))
-    with pytest.raises(ValueError, match="camera is 50° off the axis; lids are drawn up to 45°"):
-        Scene(LIGHT, eye=Eye(lids=Lids()), camera=Camera(polar=np.radians(50)))
-    for size in ((0, 5), (5, 20000)):
-        with pytest.raises(ValueError, match="camera size"):
-            Camera(size=size)

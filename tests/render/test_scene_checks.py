@@ -1,5 +1,7 @@
 """Scenes: what they refuse, and that they can be changed inside a program."""
 
+import math
+
 import jax
 import jax.numpy as jnp
 import pytest
@@ -30,6 +32,16 @@ def test_an_eye_and_a_scene_from_outside_can_be_changed_inside_a_program():
         (lambda: ij.Scene(ij.Iris(), lights=None), "needs lights or an environment"),
         (lambda: SCENE.replace(lights=ij.Lights.distant([], [])), "needs lights or an environment"),
         (lambda: SCENE.replace(wavelengths=()), "list of at least one number"),
+        (
+            lambda: SCENE.replace(lights=ij.Lights.distant(0.1, 0.2, illuminant="A")),
+            "the lights are A, the scene is D65",
+        ),
+        (
+            lambda: SCENE.replace(camera=ij.Camera(polar=math.radians(50))),
+            "camera is 50° off the axis; lids are drawn up to 45°",
+        ),
+        (lambda: ij.Camera(size=(0, 5)), "camera size"),
+        (lambda: ij.Camera(size=(5, 20000)), "camera size"),
         (lambda: ij.Camera(azimuth=jnp.asarray(jnp.nan)), "camera azimuth = nan is outside"),
         (lambda: ij.Cornea(index=jnp.asarray(-1.0)), r"index = -1 is outside \[1, 3\]"),
         (lambda: ij.Cornea(scatter=jnp.asarray(-1.0)), "scatter = -1 nm⁴ is outside"),
