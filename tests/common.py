@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import irisjax as ij
+from irisjax.measure.colour import lab_of
 
 # Cases of `parametrize` that are left to another tier: their neighbours find the same faults.
 slowly = functools.partial(pytest.param, marks=pytest.mark.slow)
@@ -48,6 +49,26 @@ def rows_by(key, path):
 def reference(name):
     """Rows of a reference table, as dictionaries of strings."""
     return rows_of(Path(__file__).parent / "reference" / name)
+
+
+def chandrasekhar(albedo, cosine):
+    """Reflectance of a deep, isotropic medium of matched index, 1 − H(μ₀) √(1 − ω), H by iteration
+    [Chandrasekhar 1960, Section 37].
+    """
+    x, w = np.polynomial.legendre.leggauss(200)
+    x, w = (x + 1) / 2, w / 2
+    root, h = np.sqrt(1 - albedo), np.ones_like(x)
+    for _ in range(400):
+        h = 1 / (root + albedo / 2 * (w * x * h / (x[:, None] + x)).sum(1))
+    return 1 - root / (root + albedo / 2 * (w * x * h / (cosine + x)).sum())
+
+
+def lab_of_linear(colour):
+    """CIE 1976 L*a*b* of linear sRGB, by the matrix as IEC 61966-2-1 prints it."""
+    to_xyz = np.array(
+        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    )
+    return np.asarray(lab_of(jnp.asarray(to_xyz @ colour / to_xyz.sum(1))))
 
 
 class Csv(NamedTuple):

@@ -19,6 +19,16 @@ def sector():
     return jnp.where(dark, 20.0, 1.0)
 
 
+def least_facing(mesh):
+    """Least cosine between a triangle's own normal, counter-clockwise, and the normals of its
+    corners.
+    """
+    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
+    own = np.cross(b - a, c - a)
+    own /= np.linalg.norm(own, axis=1, keepdims=True)
+    return min((own * mesh.vertex_normals[mesh.faces[:, i]]).sum(1).min() for i in range(3))
+
+
 def pixels(path):
     """Pixels of an EXR by channel name."""
     image = io.read_image(path)

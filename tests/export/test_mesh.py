@@ -6,6 +6,7 @@ import io
 import numpy as np
 import pytest
 import trimesh
+from handed_over import least_facing
 
 from irisjax.anatomy.eye import Cornea, Eye
 from irisjax.export.mesh import eye_meshes, mesh_files
@@ -16,16 +17,6 @@ EYE = Eye()
 @functools.cache
 def meshes(slope=None):
     return eye_meshes(EYE.replace(iris_slope=slope), 0.2)
-
-
-def _facing(mesh):
-    """Least cosine between a triangle's own normal, counter-clockwise, and the normals of its
-    corners.
-    """
-    a, b, c = (mesh.vertices[mesh.faces[:, i]] for i in range(3))
-    own = np.cross(b - a, c - a)
-    own /= np.linalg.norm(own, axis=1, keepdims=True)
-    return min((own * mesh.vertex_normals[mesh.faces[:, i]]).sum(1).min() for i in range(3))
 
 
 @pytest.mark.parametrize("name", ["anterior", "posterior"])
@@ -47,7 +38,7 @@ def test_cornea_lies_on_its_conicoid(name):
 def test_all_face_outwards_with_unit_normals(slope):
     for name, mesh in meshes(slope).items():
         np.testing.assert_allclose(np.linalg.norm(mesh.vertex_normals, axis=1), 1, atol=1e-12)
-        assert _facing(mesh) > 0.99, name
+        assert least_facing(mesh) > 0.99, name
         assert np.unique(mesh.faces).size == len(mesh.vertices)
 
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import irisjax as ij
-from common import quick_jit, stack
+from common import lab_of_linear, quick_jit, stack
 from irisjax.anatomy.eye import Cornea
-from irisjax.measure.colour import illuminant_power, lab_of
+from irisjax.measure.colour import illuminant_power
 from irisjax.render.bands import BAND_GRID, colour_bands, spectral_bands
 
 # Not drawn as the bands' own irides were: corners, no pigment, no blood, other collagen, other
@@ -24,13 +24,6 @@ IRIDES = {
     "thin": ij.Iris.of_level("low").replace(stroma_thickness=0.1, abl_fraction=0.9),
     "thick fibrils": ij.Iris.of_level("moderate").replace(fibril_radius=60.0),
 }
-
-
-def lab(linear):
-    to_xyz = np.array(
-        [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
-    )
-    return np.asarray(lab_of(jnp.asarray(to_xyz @ linear / to_xyz.sum(1))))
 
 
 @functools.cache
@@ -51,7 +44,7 @@ def test_colours_as_of_81_wavelengths(illuminant):
     for name, values in zip(IRIDES, spectra(), strict=True):
         true = ij.colour_of(BAND_GRID, values, illuminant=illuminant).srgb_linear
         found = np.asarray(bands.weights @ values[at])
-        assert delta_E_CIE2000(lab(np.asarray(true)), lab(found)) < 0.5, name
+        assert delta_E_CIE2000(lab_of_linear(np.asarray(true)), lab_of_linear(found)) < 0.5, name
 
 
 def test_white_is_white():
