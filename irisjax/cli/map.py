@@ -159,7 +159,9 @@ def map_command(
     source, problem = _read_problem(measured, pixels, model, outlines)
     notes: list[str] = []
     with ThreadPoolExecutor(cores()) as pool:
-        source, sample = _in_fractions(source, measured.unit, notes)
+        sample = _sample(replace(source, brightness=None))
+        source = source.in_fractions(sample, measured.unit, notes)
+        sample = source.factor * sample if source.brightness is None else _sample(source)
         starts = fitting.prior_starts(problem, pool.map)
         if math.prod(source.cube.shape[:2]) > 4 * _SAMPLE:
             fits = fitting.fit_pixels(problem, sample, starts, pool.map)
@@ -282,15 +284,6 @@ def _sample(source: Reflectances) -> np.ndarray:
     if source.white is not None and counts[PixelFlag.NOT_A_NUMBER]:
         flagged += "; is the white above the dark in every band?"
     raise ValueError(f"{source.cube.path}: no pixel is left to fit: {flagged}")
-
-
-def _in_fractions(
-    source: Reflectances, unit: str | None, notes: list[str]
-) -> tuple[Reflectances, np.ndarray]:
-    """Return the source in fractions of reflectance, and spectra of some of its pixels."""
-    sample = _sample(replace(source, brightness=None))
-    source = source.in_fractions(sample, unit, notes)
-    return source, source.factor * sample if source.brightness is None else _sample(source)
 
 
 class _Fitting(NamedTuple):

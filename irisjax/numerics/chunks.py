@@ -85,7 +85,9 @@ class Pixelwise(Generic[P, *Rest, T]):
 
     def __call__(self, pixels: P, *others: *Rest) -> T:
         """Apply the function to all pixels."""
-        if (shares := _threads(pixels, others)) > 1:
+        # One thread in a trace.
+        shares = share_count(_count(pixels)) if is_known(pixels, others) else 1
+        if shares > 1:
 
             def run_share(i: int) -> T:
                 return self.compiled(pixels, others, jnp.asarray(i), shares)
@@ -156,11 +158,6 @@ def share_count(pixels: int) -> int:
     if pixels < _FEW or jax.default_backend() != "cpu" or getattr(_THREAD, "alone", False):
         return 1
     return 1 << (min(cores(), 8).bit_length() - 1)
-
-
-def _threads(pixels: object, others: object) -> int:
-    """Number of threads; one in a trace."""
-    return share_count(_count(pixels)) if is_known(pixels, others) else 1
 
 
 _THREAD = threading.local()
